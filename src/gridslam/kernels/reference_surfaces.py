@@ -42,7 +42,7 @@ def rank_bearings(ways: Numbers) -> Numbers:
 
 
 def fit_surfaces(
-    ends: Numbers, starts: Places, origins: Numbers, reach_m: float
+    ends: Numbers, starts: Places, origins: Numbers, reach_m: float, threads: int
 ) -> tuple[Numbers, Numbers, Numbers, Places]:
     """Fit lines to the ends of neighbouring beams.
 
@@ -219,9 +219,8 @@ def match_to_surfaces(
     pose = np.array(guess)
     fewest = count * len(own_points)
     for gate_m in gates_m.tolist():
-        sums = match_surfaces(*whole, np.concatenate([poses, pose[None]]), pairs, gate_m, scale_m, False, False).sum(
-            axis=0
-        )
+        sums = match_surfaces(*whole, np.concatenate([poses, pose[None]]), pairs, gate_m, scale_m, False, False, 1)
+        sums = sums.sum(axis=0)
         fewest = min(fewest, int(sums[9]))
         information = sums[[[0, 1, 2], [1, 3, 4], [2, 4, 5]]]
         (kept,) = project_on_determined(information[None], sums[9:10], least_information)
@@ -252,6 +251,7 @@ def match_surfaces(
     scale_m: float,
     both: bool,
     by_incidence: bool,
+    threads: int,
 ) -> Numbers:
     """Normal equations of the relative poses of pairs of scans, point to line (Chen and Medioni 1992).
 
