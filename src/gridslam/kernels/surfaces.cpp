@@ -68,9 +68,10 @@ bool fit_normal(const double* x, const double* y, int64_t at, double* nx, double
 constexpr double kMostVariance = 0.002;  // m^2, of the distances of points from a longer line
 constexpr double kCorner = 4.0;          // where the variance is so much less to one side, a line ends
 
-// A line through points: a point of it, its direction, and the variance of the points' distances from it.
+// A line through points: their mean, the difference and twice the product of their second moments, from which follows
+// its direction, and the variance of the points' distances from it.
 struct Line {
-  double mx, my, along, variance;
+  double mx, my, difference, product, variance;
 };
 
 Line fit_line(const double* x, const double* y, int64_t first, int64_t last) {
@@ -83,8 +84,7 @@ Line fit_line(const double* x, const double* y, int64_t first, int64_t last) {
     xx += dx * dx, yy += dy * dy, xy += dx * dy;
   }
   const double half = 0.5 * (xx - yy);
-  return {mx, my, 0.5 * std::atan2(2 * xy, xx - yy),
-          (0.5 * (xx + yy) - std::sqrt(half * half + xy * xy)) / (count - 2)};
+  return {mx, my, xx - yy, 2 * xy, (0.5 * (xx + yy) - std::sqrt(half * half + xy * xy)) / (count - 2)};
 }
 
 // Fits a line to the points within `reach` of point `at`, of those from `low` to `high` that are on its surface; to
@@ -114,7 +114,8 @@ bool fit_long_line(const double* x, const double* y, int64_t at, int64_t low, in
     if (kCorner * line.variance < best.variance) best = line;
   }
   if (best.variance >= kMostVariance) return false;
-  double nx = -std::sin(best.along), ny = std::cos(best.along);
+  const double along = 0.5 * std::atan2(best.product, best.difference);
+  double nx = -std::sin(along), ny = std::cos(along);
   if (nx * x[at] + ny * y[at] > 0) nx = -nx, ny = -ny;
   const double off = nx * (x[at] - best.mx) + ny * (y[at] - best.my);
   point[0] = x[at] - off * nx, point[1] = y[at] - off * ny, normal[0] = nx, normal[1] = ny;
