@@ -282,16 +282,17 @@ class TextSource:
                 return self._read(stream), file.tell()
 
             ahead = reader.submit(read)
-            while (block := ahead.result())[0]:
+            while True:
+                chunk, bytes_read = ahead.result()
+                if not chunk:
+                    break
                 ahead = reader.submit(read)
-                chunk, bytes_read = block
                 if not limit.take(len(chunk)):
                     raise InputError(self.path, limit.problem)
                 if is_first and _NOT_TEXT.search(chunk):
                     raise InputError(self.path, "expected a text file, got binary data")
                 is_first = False
                 yield chunk, bytes_read, False
-            chunk, bytes_read = block
             yield b"", bytes_read, chunk is None
 
     def _read(self, stream: IO[bytes]) -> bytes | None:

@@ -217,9 +217,7 @@ def refine_trajectory(
     first = sum(len(drive.keys) for drive in drives if int(drive.keys[-1]) < graph.frozen)
     keys = np.concatenate([drive.keys for drive in drives])[first:]
     information = np.zeros((len(poses), 3, 3))
-    poses[first:], information[first:] = match_scans(
-        poses[first:], keys, scans, surfaces, key_poses, variance, threads
-    )
+    poses[first:], information[first:] = match_scans(poses[first:], keys, scans, surfaces, key_poses, variance, threads)
     sharpness_m = measure_sharpness(fives, key_poses)
     best = replace(best, graph=best.graph.with_poses(key_poses))
     scores = {name: adjusted.score for name, adjusted in refinement.adjusted.items()}
@@ -295,8 +293,8 @@ class _Refinement:
         """Move the key scans of a candidate until their surfaces fit; the same again where that was done before."""
         if candidate.name not in self.adjusted:
             measured = self._measured(candidate)
-            graph, variance = adjust_key_scans(measured, self.surfaces, self.fives, self.graph.rejected, self.closure_state.threads)
-            scans = self.closure_state.scans
+            scans, threads = self.closure_state.scans, self.closure_state.threads
+            graph, variance = adjust_key_scans(measured, self.surfaces, self.fives, self.graph.rejected, threads)
             score, maps = score_trajectory(self.graph, scans, graph.poses, self.mapper, self.on_progress)
             self.adjusted[candidate.name] = Adjusted(graph, graph.edges[len(measured.edges) :], variance, score, maps)
         return self.adjusted[candidate.name]

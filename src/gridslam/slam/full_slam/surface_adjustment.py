@@ -77,7 +77,7 @@ def adjust_key_scans(
         pairs = pairs[~join_near(pairs, pair)]
     poses = graph.poses
     for gate_m in _GATES_M:
-        whole = _measure(graph.with_poses(poses), surfaces, pairs, gate_m, threads=threads)
+        whole = _measure(graph.with_poses(poses), surfaces, pairs, gate_m, None, threads)
         pairs = whole.edges[len(graph.edges) :]  # what does not see the other's surfaces does not in the next round
         if not len(pairs):
             break
@@ -105,7 +105,7 @@ def _measure_variance(fives: Surfaces, poses: FloatArray, pairs: IntArray) -> fl
 
 
 def _measure(
-    graph: PoseGraph, surfaces: Surfaces, pairs: IntArray, gate_m: float, variance: float | None = None, threads: int = 1
+    graph: PoseGraph, surfaces: Surfaces, pairs: IntArray, gate_m: float, variance: float | None, threads: int
 ) -> PoseGraph:
     """Add measurements of pairs (P, 2) of key scans to a graph: the relative poses where their surfaces fit.
 
