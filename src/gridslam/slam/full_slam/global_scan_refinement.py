@@ -413,7 +413,7 @@ def place_components(graph: PoseGraph, before: FloatArray, components: IntArray)
     graph : PoseGraph
         Its first T - 1 measurements are the increments; those that join two components become what the poses have.
     before : (T, 3) float64
-        The poses. Some after a gap can be off, as a filter's are, until the map tells.
+        The poses. After a gap some can be off, as a filter's are until they are matched to the map.
     components : (T,) int64
         Rigid component of each.
     """
