@@ -29,7 +29,7 @@ SCANS = 120
 def call(capsys, monkeypatch):
     """Run the command line: exit status, standard output and standard error.
 
-    Lines of progress come after seconds, on a busy machine in any command: without them standard error has warnings alone.
+    Lines of progress, which a busy machine adds after seconds, are not printed: standard error has warnings alone.
     """
     monkeypatch.setattr("gridslam.cli.output._LINE_EVERY_S", math.inf)
 
