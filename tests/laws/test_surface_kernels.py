@@ -42,7 +42,7 @@ def test_twins(by_incidence, seed, both):
     rng = np.random.default_rng(seed)
     surfaces = seen_from(POSES, 0.01)
     poses = POSES + rng.normal(0, 0.03, POSES.shape)
-    arguments = (*surfaces, poses, PAIRS, 0.2, 0.02, both, by_incidence)
+    arguments = (*surfaces, poses, PAIRS, 0.2, 0.02, both, by_incidence, 1)
     found, expected = (kernels.match_surfaces(*arguments) for kernels in (compiled, reference))
     assert (expected[:, 9] > 50).all()
     np.testing.assert_array_equal(found[:, 9], expected[:, 9])
@@ -61,7 +61,7 @@ def test_twins_fit_lines_to_beams_in_any_order(seed, reach_m):
         for k, (pose, place) in enumerate(zip(POSES, origins, strict=True))
     ]
     batch = ScanBatch.of([*scans, StoredScan(np.empty((0, 2)), np.zeros(2))])
-    found, expected = (kernels.fit_surfaces(*batch, reach_m) for kernels in (compiled, reference))
+    found, expected = (kernels.fit_surfaces(*batch, reach_m, 1) for kernels in (compiled, reference))
     assert len(expected[0]) > 50
     np.testing.assert_array_equal(found[3], expected[3])
     for own, other in zip(found[:3], expected[:3], strict=True):
@@ -103,6 +103,21 @@ def test_lines_with_a_reach_end_at_corners_and_take_the_noise_of_points():
     assert less_turn < 0.8 * turn
 
 
+@pytest.mark.parametrize("reach_m", [0.0, 0.15])
+def test_threads_change_nothing(reach_m):
+    rng = np.random.default_rng(0)
+    poses = np.tile(POSES, (25, 1)) + rng.normal(0, 0.03, (100, 3))
+    scans = [StoredScan(room_from(pose, 0.01, k)[: 40 + 2 * k], np.zeros(2)) for k, pose in enumerate(poses)]
+    one, several = (Surfaces.of(ScanBatch.of(scans), reach_m, threads) for threads in (1, 3))
+    for own, other in zip(one, several, strict=True):
+        np.testing.assert_array_equal(own, other)
+    pairs = rng.integers(0, 100, (500, 2))
+    found, other = (one.match(poses, pairs, 0.2, 0.02, threads=threads) for threads in (1, 3))
+    assert found.counts.sum() > 5000
+    np.testing.assert_array_equal(found.information, other.information)
+    np.testing.assert_array_equal(found.gradients, other.gradients)
+
+
 def test_ranks_ascend_with_bearings():
     ways = 7 * np.column_stack(
         [np.cos(np.linspace(-math.pi, math.pi, 999)), np.sin(np.linspace(-math.pi, math.pi, 999))]
@@ -123,7 +138,7 @@ def test_slopes_are_those_of_the_residuals(kernels, both):
     def half_squares(error):
         moved = poses.copy()
         moved[1] = compose(poses[1], error)
-        row = kernels.match_surfaces(*surfaces, moved, pair, 0.5, 1e6, both, False)[0]
+        row = kernels.match_surfaces(*surfaces, moved, pair, 0.5, 1e6, both, False, 1)[0]
         return row
 
     row = half_squares(np.zeros(3))
@@ -172,16 +187,16 @@ def test_what_does_not_belong_together_is_refused():
     surfaces = seen_from(POSES)
     for wrong in (np.array([[0, 4]]), np.array([[-1, 0]])):
         with pytest.raises(IndexError, match="pairs"):
-            compiled.match_surfaces(*surfaces, POSES, wrong, 0.3, 0.02, True, False)
+            compiled.match_surfaces(*surfaces, POSES, wrong, 0.3, 0.02, True, False, 1)
     with pytest.raises(IndexError, match="poses"):
-        compiled.match_surfaces(*surfaces, POSES[:2], PAIRS[:1], 0.3, 0.02, True, False)
+        compiled.match_surfaces(*surfaces, POSES[:2], PAIRS[:1], 0.3, 0.02, True, False, 1)
     own = surfaces.points, surfaces.normals, (0.0, 0.0, 0.0), np.ones(3), np.array([0.1]), 0.02, 0.02
     with pytest.raises(IndexError, match="poses"):
         compiled.match_to_surfaces(*surfaces, POSES[:2], *own)
     with pytest.raises(IndexError, match="own_normals"):
         compiled.match_to_surfaces(*surfaces, POSES, own[0], own[1][:-1], *own[2:])
     with pytest.raises(IndexError, match="starts"):
-        compiled.fit_surfaces(surfaces.points, np.array([0, 9]), np.zeros((2, 2)), 0.0)
+        compiled.fit_surfaces(surfaces.points, np.array([0, 9]), np.zeros((2, 2)), 0.0, 1)
 
 
 def test_along_a_corridor_nothing_is_determined():

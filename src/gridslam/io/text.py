@@ -12,6 +12,7 @@ import re
 import stat
 import zlib
 from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
 from contextvars import ContextVar
 from itertools import chain
@@ -271,15 +272,28 @@ class TextSource:
     def _chunks(self) -> Iterator[tuple[bytes, int, bool]]:
         limit = UnpackingLimit(self.total_bytes)
         is_first = True
-        with open_for_reading(self.path) as file, _decompressed(file) as stream:
-            while chunk := self._read(stream):
+        with (
+            open_for_reading(self.path) as file,
+            _decompressed(file) as stream,
+            ThreadPoolExecutor(1, "gridslam-read") as reader,  # a block ahead: decompression leaves Python's lock free
+        ):
+
+            def read() -> tuple[bytes | None, int]:
+                return self._read(stream), file.tell()
+
+            ahead = reader.submit(read)
+            while True:
+                chunk, bytes_read = ahead.result()
+                if not chunk:
+                    break
+                ahead = reader.submit(read)
                 if not limit.take(len(chunk)):
                     raise InputError(self.path, limit.problem)
                 if is_first and _NOT_TEXT.search(chunk):
                     raise InputError(self.path, "expected a text file, got binary data")
                 is_first = False
-                yield chunk, file.tell(), False
-            yield b"", file.tell(), chunk is None
+                yield chunk, bytes_read, False
+            yield b"", bytes_read, chunk is None
 
     def _read(self, stream: IO[bytes]) -> bytes | None:
         """Read a block; none at the end, None where the compressed stream ends without its end mark."""

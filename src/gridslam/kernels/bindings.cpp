@@ -8,6 +8,7 @@
 #include <nanobind/stl/tuple.h>
 
 #include <memory>
+#include <numeric>
 #include <optional>
 #include <vector>
 
@@ -406,7 +407,7 @@ Surfaces view_surfaces(const Points& points, const Points& normals, const Vector
 
 auto py_match_surfaces(Points points, Points normals, Vector bearings, Starts starts, Points origins, Poses poses,
                        Shaped<const int64_t, -1, 2> pairs, double gate_m, double scale_m, bool both,
-                       bool by_incidence) {
+                       bool by_incidence, int threads) {
   const size_t scans = poses.shape(0);
   const Surfaces surfaces = view_surfaces(points, normals, bearings, starts, origins);
   require(origins.shape(0) == scans, "poses: expected one for each scan");
@@ -417,28 +418,35 @@ auto py_match_surfaces(Points points, Points normals, Vector bearings, Starts st
   {
     nb::gil_scoped_release release;
     match_surfaces(surfaces, poses.data(), pairs.data(), static_cast<int64_t>(pairs.shape(0)), gate_m, scale_m, both,
-                   by_incidence, out.data());
+                   by_incidence, threads, out.data());
   }
   return out;
 }
 
-auto py_fit_surfaces(Points ends, Starts starts, Points origins, double reach_m) {
+auto py_fit_surfaces(Points ends, Starts starts, Points origins, double reach_m, int threads) {
   const size_t size = ends.shape(0), scans = origins.shape(0);
   require_starts(starts, scans, size);
   std::vector<double> points(2 * size), normals(2 * size), bearings(size);
-  auto out_starts = fresh<int64_t, 1>({scans + 1});
+  std::vector<int64_t> counts(scans);
   {
     nb::gil_scoped_release release;
-    fit_surfaces(ends.data(), starts.data(), origins.data(), static_cast<int64_t>(scans), reach_m, points.data(),
-                 normals.data(), bearings.data(), out_starts.data());
+    fit_surfaces(ends.data(), starts.data(), origins.data(), static_cast<int64_t>(scans), reach_m, threads,
+                 points.data(), normals.data(), bearings.data(), counts.data());
   }
-  const auto found = static_cast<size_t>(out_starts.data()[scans]);
+  auto out_starts = fresh<int64_t, 1>({scans + 1});
+  int64_t* const at = out_starts.data();
+  at[0] = 0;
+  std::partial_sum(counts.begin(), counts.end(), at + 1);
+  const auto found = static_cast<size_t>(at[scans]);
   auto out_points = fresh<double, 2>({found, size_t{2}});
   auto out_normals = fresh<double, 2>({found, size_t{2}});
   auto out_bearings = fresh<double, 1>({found});
-  std::copy_n(points.data(), 2 * found, out_points.data());
-  std::copy_n(normals.data(), 2 * found, out_normals.data());
-  std::copy_n(bearings.data(), found, out_bearings.data());
+  for (size_t scan = 0; scan < scans; ++scan) {
+    const int64_t first = starts.data()[scan];
+    std::copy_n(points.data() + 2 * first, 2 * counts[scan], out_points.data() + 2 * at[scan]);
+    std::copy_n(normals.data() + 2 * first, 2 * counts[scan], out_normals.data() + 2 * at[scan]);
+    std::copy_n(bearings.data() + first, counts[scan], out_bearings.data() + at[scan]);
+  }
   return std::make_tuple(out_points, out_normals, out_bearings, out_starts);
 }
 
@@ -652,8 +660,8 @@ NB_MODULE(_compiled, m) {
   m.def("are_true", &py_are_true, "mask"_a, "corner"_a, "inverse_resolution"_a, "poses"_a);
   m.def("slots_of", &py_slots_of, "ends"_a, "points"_a);
   m.def("match_surfaces", &py_match_surfaces, "points"_a, "normals"_a, "bearings"_a, "starts"_a, "origins"_a, "poses"_a,
-        "pairs"_a, "gate_m"_a, "scale_m"_a, "both"_a, "by_incidence"_a);
-  m.def("fit_surfaces", &py_fit_surfaces, "ends"_a, "starts"_a, "origins"_a, "reach_m"_a);
+        "pairs"_a, "gate_m"_a, "scale_m"_a, "both"_a, "by_incidence"_a, "threads"_a);
+  m.def("fit_surfaces", &py_fit_surfaces, "ends"_a, "starts"_a, "origins"_a, "reach_m"_a, "threads"_a);
   m.def("match_to_surfaces", &py_match_to_surfaces, "points"_a, "normals"_a, "bearings"_a, "starts"_a, "origins"_a,
         "poses"_a, "own_points"_a, "own_normals"_a, "guess"_a, "prior"_a, "gates_m"_a, "scale_m"_a,
         "least_information"_a);

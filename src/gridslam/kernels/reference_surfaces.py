@@ -42,7 +42,7 @@ def rank_bearings(ways: Numbers) -> Numbers:
 
 
 def fit_surfaces(
-    ends: Numbers, starts: Places, origins: Numbers, reach_m: float
+    ends: Numbers, starts: Places, origins: Numbers, reach_m: float, threads: int
 ) -> tuple[Numbers, Numbers, Numbers, Places]:
     """Fit lines to the ends of neighbouring beams.
 
@@ -219,9 +219,8 @@ def match_to_surfaces(
     pose = np.array(guess)
     fewest = count * len(own_points)
     for gate_m in gates_m.tolist():
-        sums = match_surfaces(*whole, np.concatenate([poses, pose[None]]), pairs, gate_m, scale_m, False, False).sum(
-            axis=0
-        )
+        sums = match_surfaces(*whole, np.concatenate([poses, pose[None]]), pairs, gate_m, scale_m, False, False, 1)
+        sums = sums.sum(axis=0)
         fewest = min(fewest, int(sums[9]))
         information = sums[[[0, 1, 2], [1, 3, 4], [2, 4, 5]]]
         (kept,) = project_on_determined(information[None], sums[9:10], least_information)
@@ -252,6 +251,7 @@ def match_surfaces(
     scale_m: float,
     both: bool,
     by_incidence: bool,
+    threads: int,
 ) -> Numbers:
     """Normal equations of the relative poses of pairs of scans, point to line (Chen and Medioni 1992).
 
@@ -290,7 +290,7 @@ def match_surfaces(
     whole = points, normals, bearings, starts, origins
     for row, (from_, to) in zip(out, pairs.tolist(), strict=True):
         for fixed, moved in ((from_, to), (to, from_))[: 1 + both]:
-            found = match_points(whole, poses, fixed, moved, gate_m, by_incidence)
+            found = match_points(whole, poses, np.array([[fixed, moved]]), gate_m, by_incidence)
             slope = found.slopes if moved == to else found.slopes_of_fixed
             weighted = slope / (found.variances + np.square(found.residuals / scale_m))[:, None]
             row[:6] += (weighted.T @ slope)[np.triu_indices(3)]
@@ -301,16 +301,14 @@ def match_surfaces(
 
 
 class MatchedPoints(NamedTuple):
-    """Points of one scan on lines of another.
+    """Points of scans on lines of others, pair by pair.
 
     Attributes
     ----------
-    points, lines : (K,) int64
+    pairs, points, lines : (K,) int64
         Which ones.
-    normals : (K, 2) float64
-        Of the lines, in the frame of the scan to which the lines belong.
-    turn : (2, 2) float64
-        From that frame to the one of the points.
+    normals, towards : (K, 2) float64
+        Of the lines, in the frame of the scan to which they belong, and in that of the scan with the points.
     residuals : (K,) float64, m
         Distances from the lines.
     slopes, slopes_of_fixed : (K, 3) float64
@@ -320,10 +318,11 @@ class MatchedPoints(NamedTuple):
         What they weigh by, see `match_surfaces`.
     """
 
+    pairs: Places
     points: Places
     lines: Places
     normals: Numbers
-    turn: Numbers
+    towards: Numbers
     residuals: Numbers
     slopes: Numbers
     slopes_of_fixed: Numbers
@@ -333,48 +332,53 @@ class MatchedPoints(NamedTuple):
 def match_points(
     surfaces: tuple[Numbers, Numbers, Numbers, Places, Numbers],
     poses: Numbers,
-    fixed: int,
-    moved: int,
+    pairs: Places,
     gate_m: float,
     by_incidence: bool,
 ) -> MatchedPoints:
-    """Match points of the scan `moved` with lines of `fixed`; the arguments are those of `match_surfaces`."""
+    """Match points with lines, in pairs (P, 2) of the scan with the lines and that with the points.
+
+    The other arguments are those of `match_surfaces`.
+    """
     points, normals, bearings, starts, origins = surfaces
-    x, y, turn = (poses[moved] - poses[fixed]).tolist()
+    fixed, moved = pairs.T
+    counts = starts[moved + 1] - starts[moved]
+    ends = np.cumsum(counts)
+    pair = np.repeat(np.arange(len(pairs)), counts)
+    own = np.arange(len(pair)) + (starts[moved] - ends + counts)[pair]
+    x, y, turn = (poses[moved] - poses[fixed]).T
     c, s = np.cos(poses[fixed, 2]), np.sin(poses[fixed, 2])
-    x, y = c * x + s * y, c * y - s * x
-    c, s = np.cos(turn), np.sin(turn)
-    turned = np.array([[c, s], [-s, c]])
-    own = slice(starts[moved], starts[moved + 1])
-    first, last = int(starts[fixed]), int(starts[fixed + 1])
-    if first == last:
-        own = slice(0, 0)
-    at = points[own] @ turned + [x, y]
-    place = first + np.searchsorted(bearings[first:last], rank_bearings(at - origins[fixed]))
+    away = np.column_stack([c * x + s * y, c * y - s * x])
+    c, s = np.cos(turn)[pair], np.sin(turn)[pair]
+    x, y = points[own].T
+    at = np.column_stack([c * x - s * y, s * x + c * y]) + away[pair]
+    first, last = starts[fixed][pair], starts[fixed + 1][pair]
+    ranks = rank_bearings(at - origins[fixed][pair])
+    place = first.copy()
+    for scan, begin, end in zip(fixed.tolist(), (ends - counts).tolist(), ends.tolist(), strict=True):
+        place[begin:end] += np.searchsorted(bearings[starts[scan] : starts[scan + 1]], ranks[begin:end])
     near = place[:, None] + np.arange(-BESIDE, BESIDE)
-    is_there = (near >= first) & (near < last)
-    away = np.square(at[:, None] - points[np.clip(near, first, last - 1)]).sum(axis=2)
-    away[~is_there] = np.inf
-    best = away.argmin(axis=1)
-    line = np.clip(near[np.arange(len(near)), best], first, last - 1)
-    residual = ((at - points[line]) * normals[line]).sum(axis=1)
-    fits = (place > first) & (place < last) & (away.min(axis=1, initial=np.inf) < NEAR_M**2)
-    fits &= (normals[line] * (normals[own] @ turned)).sum(axis=1) >= LEAST_COSINE
+    is_there = (near >= first[:, None]) & (near < last[:, None])
+    near = np.clip(near, first[:, None], last[:, None] - 1)  # without a line none is there
+    squares = np.square(at[:, :1] - points[near, 0]) + np.square(at[:, 1:] - points[near, 1])
+    squares[~is_there] = np.inf
+    best = squares.argmin(axis=1)[:, None]
+    line, nearest = np.take_along_axis(near, best, 1)[:, 0], np.take_along_axis(squares, best, 1)[:, 0]
+    normal = normals[line]
+    towards = np.column_stack([c * normal[:, 0] + s * normal[:, 1], c * normal[:, 1] - s * normal[:, 0]])
+    residual = ((at - points[line]) * normal).sum(axis=1)
+    fits = (place > first) & (place < last) & (nearest < NEAR_M**2)
+    fits &= (towards * normals[own]).sum(axis=1) >= LEAST_COSINE
     fits &= np.abs(residual) <= gate_m
     variance = np.ones(len(at))
     if by_incidence:
-        fits &= away.min(axis=1, initial=np.inf) - np.square(residual) <= ALONG_M**2
-        own_squares = _squared_cosines(points[own] - origins[moved], normals[own])
-        squares = _squared_cosines(points[line] - origins[fixed], normals[line])
-        variance = LEAST_VARIANCE + 0.5 * (own_squares + squares)
-    of_fixed = -np.column_stack([normals[line], normals[line, 1] * at[:, 0] - normals[line, 0] * at[:, 1]])
-    towards = normals[line] @ turned.T
-    lever = towards[:, 1] * points[own, 0] - towards[:, 0] * points[own, 1]
-    slope = np.column_stack([towards, lever])
-    which = own.start + np.flatnonzero(fits)
-    return MatchedPoints(
-        which, line[fits], normals[line[fits]], turned.T, residual[fits], slope[fits], of_fixed[fits], variance[fits]
-    )
+        fits &= nearest - np.square(residual) <= ALONG_M**2
+        own_squares = _squared_cosines(points[own] - origins[moved][pair], normals[own])
+        variance = LEAST_VARIANCE + 0.5 * (own_squares + _squared_cosines(points[line] - origins[fixed][pair], normal))
+    of_fixed = -np.column_stack([normal, normal[:, 1] * at[:, 0] - normal[:, 0] * at[:, 1]])
+    slope = np.column_stack([towards, towards[:, 1] * x - towards[:, 0] * y])
+    found = MatchedPoints(pair, own, line, normal, towards, residual, slope, of_fixed, variance)
+    return MatchedPoints._make(each[fits] for each in found)
 
 
 def _squared_cosines(ways: Numbers, normals: Numbers) -> Numbers:

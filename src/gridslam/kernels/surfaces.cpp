@@ -7,6 +7,8 @@
 #include <utility>
 #include <vector>
 
+#include "threads.hpp"
+
 namespace gridslam {
 namespace {
 
@@ -66,9 +68,10 @@ bool fit_normal(const double* x, const double* y, int64_t at, double* nx, double
 constexpr double kMostVariance = 0.002;  // m^2, of the distances of points from a longer line
 constexpr double kCorner = 4.0;          // where the variance is so much less to one side, a line ends
 
-// A line through points: a point of it, its direction, and the variance of the points' distances from it.
+// A line through points: their mean, the difference and twice the product of their second moments, from which follows
+// its direction, and the variance of the points' distances from it.
 struct Line {
-  double mx, my, along, variance;
+  double mx, my, difference, product, variance;
 };
 
 Line fit_line(const double* x, const double* y, int64_t first, int64_t last) {
@@ -81,8 +84,7 @@ Line fit_line(const double* x, const double* y, int64_t first, int64_t last) {
     xx += dx * dx, yy += dy * dy, xy += dx * dy;
   }
   const double half = 0.5 * (xx - yy);
-  return {mx, my, 0.5 * std::atan2(2 * xy, xx - yy),
-          (0.5 * (xx + yy) - std::sqrt(half * half + xy * xy)) / (count - 2)};
+  return {mx, my, xx - yy, 2 * xy, (0.5 * (xx + yy) - std::sqrt(half * half + xy * xy)) / (count - 2)};
 }
 
 // Fits a line to the points within `reach` of point `at`, of those from `low` to `high` that are on its surface; to
@@ -112,7 +114,8 @@ bool fit_long_line(const double* x, const double* y, int64_t at, int64_t low, in
     if (kCorner * line.variance < best.variance) best = line;
   }
   if (best.variance >= kMostVariance) return false;
-  double nx = -std::sin(best.along), ny = std::cos(best.along);
+  const double along = 0.5 * std::atan2(best.product, best.difference);
+  double nx = -std::sin(along), ny = std::cos(along);
   if (nx * x[at] + ny * y[at] > 0) nx = -nx, ny = -ny;
   const double off = nx * (x[at] - best.mx) + ny * (y[at] - best.my);
   point[0] = x[at] - off * nx, point[1] = y[at] - off * ny, normal[0] = nx, normal[1] = ny;
@@ -210,49 +213,55 @@ void add(const Surfaces& of, int64_t fixed, const Surfaces& by, int64_t moved, c
   }
 }
 
+// Fits lines to the ends of one scan's beams, as `fit_surfaces` does; gives the number of points.
+int64_t fit_scan(const double* ends, int64_t size, const double* origin, double reach_m, double* points,
+                 double* normals, double* bearings) {
+  thread_local std::vector<double> x, y, rank, ordered_x, ordered_y, ordered_rank;
+  thread_local std::vector<int64_t> order;
+  x.resize(size), y.resize(size), rank.resize(size);
+  for (int64_t k = 0; k < size; ++k) {
+    x[k] = ends[2 * k] - origin[0];
+    y[k] = ends[2 * k + 1] - origin[1];
+    rank[k] = rank_bearing(x[k], y[k]);
+  }
+  if (!std::is_sorted(rank.begin(), rank.end())) {
+    order.resize(size);
+    std::iota(order.begin(), order.end(), int64_t{0});
+    std::stable_sort(order.begin(), order.end(), [](int64_t a, int64_t b) { return rank[a] < rank[b]; });
+    ordered_x.resize(size), ordered_y.resize(size), ordered_rank.resize(size);
+    for (int64_t k = 0; k < size; ++k) {
+      ordered_x[k] = x[order[k]], ordered_y[k] = y[order[k]], ordered_rank[k] = rank[order[k]];
+    }
+    x.swap(ordered_x), y.swap(ordered_y), rank.swap(ordered_rank);
+  }
+  int64_t found = 0;
+  int64_t low = 0, high = -1;  // of points that follow each other on one surface, without a gap
+  for (int64_t k = 0; k < size; ++k) {
+    if (k > high) {
+      low = high = k;
+      while (high + 1 < size && is_beside(x.data(), y.data(), high + 1)) ++high;
+    }
+    double point[2]{x[k], y[k]}, normal[2]{};
+    const bool is_line = reach_m > 0 ? fit_long_line(x.data(), y.data(), k, low, high, reach_m, point, normal)
+                                     : k - low >= kLineBeside && high - k >= kLineBeside &&
+                                           fit_normal(x.data(), y.data(), k, normal, normal + 1);
+    if (!is_line) continue;
+    points[2 * found] = point[0] + origin[0], points[2 * found + 1] = point[1] + origin[1];
+    normals[2 * found] = normal[0], normals[2 * found + 1] = normal[1];
+    bearings[found++] = rank[k];
+  }
+  return found;
+}
+
 }  // namespace
 
 void fit_surfaces(const double* ends, const int64_t* starts, const double* origins, int64_t scans, double reach_m,
-                  double* points, double* normals, double* bearings, int64_t* out_starts) {
-  std::vector<double> x, y, rank, ordered_x, ordered_y, ordered_rank;
-  std::vector<int64_t> order;
-  int64_t found = 0;
-  for (int64_t scan = 0; scan < scans; ++scan) {
-    out_starts[scan] = found;
-    const int64_t first = starts[scan], size = starts[scan + 1] - first;
-    x.resize(size), y.resize(size), rank.resize(size);
-    for (int64_t k = 0; k < size; ++k) {
-      x[k] = ends[2 * (first + k)] - origins[2 * scan];
-      y[k] = ends[2 * (first + k) + 1] - origins[2 * scan + 1];
-      rank[k] = rank_bearing(x[k], y[k]);
-    }
-    if (!std::is_sorted(rank.begin(), rank.end())) {
-      order.resize(size);
-      std::iota(order.begin(), order.end(), int64_t{0});
-      std::stable_sort(order.begin(), order.end(), [&](int64_t a, int64_t b) { return rank[a] < rank[b]; });
-      ordered_x.resize(size), ordered_y.resize(size), ordered_rank.resize(size);
-      for (int64_t k = 0; k < size; ++k) {
-        ordered_x[k] = x[order[k]], ordered_y[k] = y[order[k]], ordered_rank[k] = rank[order[k]];
-      }
-      x.swap(ordered_x), y.swap(ordered_y), rank.swap(ordered_rank);
-    }
-    int64_t low = 0, high = -1;  // of points that follow each other on one surface, without a gap
-    for (int64_t k = 0; k < size; ++k) {
-      if (k > high) {
-        low = high = k;
-        while (high + 1 < size && is_beside(x.data(), y.data(), high + 1)) ++high;
-      }
-      double point[2]{x[k], y[k]}, normal[2]{};
-      const bool is_line = reach_m > 0 ? fit_long_line(x.data(), y.data(), k, low, high, reach_m, point, normal)
-                                       : k - low >= kLineBeside && high - k >= kLineBeside &&
-                                             fit_normal(x.data(), y.data(), k, normal, normal + 1);
-      if (!is_line) continue;
-      points[2 * found] = point[0] + origins[2 * scan], points[2 * found + 1] = point[1] + origins[2 * scan + 1];
-      normals[2 * found] = normal[0], normals[2 * found + 1] = normal[1];
-      bearings[found++] = rank[k];
-    }
-  }
-  out_starts[scans] = found;
+                  int threads, double* points, double* normals, double* bearings, int64_t* counts) {
+  parallel_for(static_cast<int>(scans), threads, [&](int scan) {
+    const int64_t first = starts[scan];
+    counts[scan] = fit_scan(ends + 2 * first, starts[scan + 1] - first, origins + 2 * scan, reach_m,
+                            points + 2 * first, normals + 2 * first, bearings + first);
+  });
 }
 
 int64_t match_to_surfaces(const Surfaces& fixed, const double* poses, int64_t count, const Surfaces& moved,
@@ -286,8 +295,8 @@ int64_t match_to_surfaces(const Surfaces& fixed, const double* poses, int64_t co
 }
 
 void match_surfaces(const Surfaces& surfaces, const double* poses, const int64_t* pairs, int64_t count, double gate_m,
-                    double scale_m, bool both, bool by_incidence, double* out) {
-  for (int64_t p = 0; p < count; ++p) {
+                    double scale_m, bool both, bool by_incidence, int threads, double* out) {
+  parallel_for(static_cast<int>(count), threads, [&](int p) {
     const int64_t from = pairs[2 * p], to = pairs[2 * p + 1];
     double* own = out + kSurfaceSums * p;
     std::fill(own, own + kSurfaceSums, 0.0);
@@ -297,7 +306,7 @@ void match_surfaces(const Surfaces& surfaces, const double* poses, const int64_t
       add(surfaces, to, surfaces, from, between(poses + 3 * to, poses + 3 * from), false, gate_m, scale_m, by_incidence,
           own);
     }
-  }
+  });
 }
 
 }  // namespace gridslam

@@ -21,12 +21,13 @@ constexpr int64_t kSurfaceSums = 11;
 // For each pair `from`, `to` of scans at poses (S, 3): the upper triangle of the normal equations' matrix, the right
 // side, the number of matched points and the sum of their squared residuals; see `reference_surfaces`.
 void match_surfaces(const Surfaces& surfaces, const double* poses, const int64_t* pairs, int64_t count, double gate_m,
-                    double scale_m, bool both, bool by_incidence, double* out);
+                    double scale_m, bool both, bool by_incidence, int threads, double* out);
 
 // Points with normals of scans of which the beams end at `ends` (B, 2): where neighbouring beams end on a line. Writes
-// points, normals, ranks of bearings, each of room for B, and starts (scans + 1); see `reference_surfaces`.
+// points, normals, ranks of bearings, each of room for B, those of a scan from where its beams begin, and their numbers
+// (scans,); see `reference_surfaces`.
 void fit_surfaces(const double* ends, const int64_t* starts, const double* origins, int64_t scans, double reach_m,
-                  double* points, double* normals, double* bearings, int64_t* out_starts);
+                  int threads, double* points, double* normals, double* bearings, int64_t* counts);
 
 // How a scan is matched to the surfaces of others, by Gauss-Newton.
 struct SurfaceMatching {

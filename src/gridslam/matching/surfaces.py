@@ -61,9 +61,9 @@ class Surfaces(NamedTuple):
     origins: FloatArray
 
     @classmethod
-    def of(cls, batch: ScanBatch, reach_m: float = 0.0) -> Surfaces:
+    def of(cls, batch: ScanBatch, reach_m: float = 0.0, threads: int = 1) -> Surfaces:
         """Fit lines to the ends of beams within `reach_m` of each other; of five neighbouring ones each if it is 0."""
-        points, normals, bearings, starts = backend.fit_surfaces(*batch, reach_m)
+        points, normals, bearings, starts = backend.fit_surfaces(*batch, reach_m, threads)
         return cls(points, normals, bearings, starts, batch.origins)
 
     def append(self, later: Surfaces) -> Surfaces:
@@ -93,6 +93,7 @@ class Surfaces(NamedTuple):
         *,
         both: bool = True,
         by_incidence: bool = False,
+        threads: int = 1,
     ) -> SurfaceMatches:
         """Match pairs (P, 2) of scans at poses (S, 3), point to line.
 
@@ -105,7 +106,7 @@ class Surfaces(NamedTuple):
         by_incidence : bool
             Whether points that a beam grazes, which its noise moves along their line, weigh more.
         """
-        sums = backend.match_surfaces(*self, poses, pairs, gate_m, scale_m, both, by_incidence)
+        sums = backend.match_surfaces(*self, poses, pairs, gate_m, scale_m, both, by_incidence, threads)
         information = sums[:, [[0, 1, 2], [1, 3, 4], [2, 4, 5]]]
         kept = project_on_determined(information, sums[:, 9], LEAST_INFORMATION)
         gradients = np.einsum("pij,pj->pi", kept, sums[:, 6:9])

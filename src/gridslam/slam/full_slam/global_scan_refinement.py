@@ -187,7 +187,8 @@ def refine_trajectory(
     known += [c for c in frozen if c.source is ConstraintSource.PROXIMITY]
     scans = closure_state.scans
     batch = scans.batch(scans.keys)
-    surfaces, fives = Surfaces.of(batch, LINE_REACH_M), Surfaces.of(batch)
+    threads = closure_state.threads
+    surfaces, fives = Surfaces.of(batch, LINE_REACH_M, threads), Surfaces.of(batch, threads=threads)
     on_progress()
     refinement = _Refinement(
         closure_state,
@@ -216,7 +217,7 @@ def refine_trajectory(
     first = sum(len(drive.keys) for drive in drives if int(drive.keys[-1]) < graph.frozen)
     keys = np.concatenate([drive.keys for drive in drives])[first:]
     information = np.zeros((len(poses), 3, 3))
-    poses[first:], information[first:] = match_scans(poses[first:], keys, scans, surfaces, key_poses, variance)
+    poses[first:], information[first:] = match_scans(poses[first:], keys, scans, surfaces, key_poses, variance, threads)
     sharpness_m = measure_sharpness(fives, key_poses)
     best = replace(best, graph=best.graph.with_poses(key_poses))
     scores = {name: adjusted.score for name, adjusted in refinement.adjusted.items()}
@@ -294,10 +295,12 @@ class _Refinement:
         """Move the key scans of a candidate until their surfaces fit; the same again where that was done before."""
         if candidate.name not in self.adjusted:
             measured = self._measured(candidate)
+            scans, threads = self.closure_state.scans, self.closure_state.threads
             components = self.graph.label_rigid_components(candidate.constraints)
-            graph, variance = adjust_key_scans(measured, self.surfaces, self.fives, components, self.graph.rejected)
+            graph, variance = adjust_key_scans(
+                measured, self.surfaces, self.fives, components, self.graph.rejected, threads
+            )
             graph = place_components(graph, candidate.graph.poses, components)
-            scans = self.closure_state.scans
             score, maps = score_trajectory(self.graph, scans, graph.poses, self.mapper, self.on_progress)
             self.adjusted[candidate.name] = Adjusted(graph, graph.edges[len(measured.edges) :], variance, score, maps)
         return self.adjusted[candidate.name]
@@ -410,7 +413,7 @@ def place_components(graph: PoseGraph, before: FloatArray, components: IntArray)
     graph : PoseGraph
         Its first T - 1 measurements are the increments; those that join two components become what the poses have.
     before : (T, 3) float64
-        The poses. Some after a gap can be off, as a filter's are, until the map tells.
+        The poses. After a gap some can be off, as a filter's are until they are matched to the map.
     components : (T,) int64
         Rigid component of each.
     """

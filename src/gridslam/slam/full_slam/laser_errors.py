@@ -70,8 +70,7 @@ def estimate_laser_errors(surfaces: Surfaces, poses: FloatArray, pairs: IntArray
     if len(pairs) < _BLOCKS or np.ptp(surfaces.origins, axis=0).max() > 0:
         return None
     pairs = pairs[:: -(-len(pairs) // _MOST_PAIRS)]
-    by_errors = _derivatives(surfaces)
-    matched = [_match(surfaces, by_errors, poses, pair) for pair in pairs.tolist()]
+    matched = _match(surfaces, _derivatives(surfaces), poses, pairs)
     errors, whole, left = np.zeros(2), np.empty((2, 2)), np.empty((0, 2))
     for _ in range(_ROUNDS):
         sums = [_sum(rows, variances, errors) for rows, variances in matched]
@@ -97,19 +96,20 @@ def _derivatives(surfaces: Surfaces) -> FloatArray:
 
 
 def _match(
-    surfaces: Surfaces, by_errors: FloatArray, poses: FloatArray, pair: list[int]
-) -> tuple[FloatArray, FloatArray]:
-    """Derivatives of a pair's residuals by its relative pose and by the errors, and these, (K, 6); variances (K,)."""
-    whole = surfaces.points, surfaces.normals, surfaces.bearings, surfaces.starts, surfaces.origins
-    rows, variances = [], []
-    for fixed, moved in (pair, pair[::-1]):
-        found = match_points(whole, poses, fixed, moved, _GATE_M, by_incidence=True)
-        pose = found.slopes if moved == pair[1] else found.slopes_of_fixed
-        towards = (found.normals @ found.turn)[:, None]
-        errors = (towards @ by_errors[found.points] - found.normals[:, None] @ by_errors[found.lines])[:, 0]
-        rows.append(np.column_stack([pose, errors, found.residuals]))
-        variances.append(found.variances)
-    return np.concatenate(rows), np.concatenate(variances)
+    surfaces: Surfaces, by_errors: FloatArray, poses: FloatArray, pairs: IntArray
+) -> list[tuple[FloatArray, FloatArray]]:
+    """Derivatives of each pair's residuals by its relative pose and the errors, and these, (K, 6); variances (K,)."""
+    parts = []
+    for order in (pairs, pairs[:, ::-1]):
+        found = match_points(surfaces, poses, order, _GATE_M, by_incidence=True)
+        pose = found.slopes if order is pairs else found.slopes_of_fixed
+        errors = np.einsum("ki,kij->kj", found.towards, by_errors[found.points])
+        errors -= np.einsum("ki,kij->kj", found.normals, by_errors[found.lines])
+        parts.append((found.pairs, np.column_stack([pose, errors, found.residuals]), found.variances))
+    pair, rows, variances = (np.concatenate(each) for each in zip(*parts, strict=True))
+    order = np.argsort(pair, kind="stable")
+    ends = np.cumsum(np.bincount(pair, minlength=len(pairs)))[:-1]
+    return list(zip(np.split(rows[order], ends), np.split(variances[order], ends), strict=True))
 
 
 def _sum(rows: FloatArray, variances: FloatArray, known: FloatArray) -> tuple[FloatArray, FloatArray]:

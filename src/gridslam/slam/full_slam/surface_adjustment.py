@@ -53,7 +53,12 @@ _PRIOR_SIGMA_RAD = 0.01
 
 
 def adjust_key_scans(
-    graph: PoseGraph, surfaces: Surfaces, fives: Surfaces, components: IntArray, rejected: IntArray | None = None
+    graph: PoseGraph,
+    surfaces: Surfaces,
+    fives: Surfaces,
+    components: IntArray,
+    rejected: IntArray | None = None,
+    threads: int = 1,
 ) -> tuple[PoseGraph, float]:
     """Return the graph with its key scans moved and the measurements of all pairs, and the variance (m^2) of a point.
 
@@ -81,13 +86,13 @@ def adjust_key_scans(
         pairs = pairs[~join_near(pairs, pair)]
     poses = graph.poses
     for gate_m in _GATES_M:
-        whole = _measure(graph.with_poses(poses), surfaces, pairs, gate_m)
+        whole = _measure(graph.with_poses(poses), surfaces, pairs, gate_m, None, threads)
         pairs = whole.edges[len(graph.edges) :]  # what does not see the other's surfaces does not in the next round
         if not len(pairs):
             break
         poses = GraphSlam(first_guess="given", robust=None, max_iterations=1).solve(whole).poses
     variance = _measure_variance(fives, poses, pairs)
-    return _measure(graph.with_poses(poses), surfaces, pairs, _GATES_M[-1], variance), variance
+    return _measure(graph.with_poses(poses), surfaces, pairs, _GATES_M[-1], variance, threads), variance
 
 
 def share_information(pairs: IntArray) -> FloatArray:
@@ -109,13 +114,14 @@ def _measure_variance(fives: Surfaces, poses: FloatArray, pairs: IntArray) -> fl
 
 
 def _measure(
-    graph: PoseGraph, surfaces: Surfaces, pairs: IntArray, gate_m: float, variance: float | None = None
+    graph: PoseGraph, surfaces: Surfaces, pairs: IntArray, gate_m: float, variance: float | None, threads: int
 ) -> PoseGraph:
     """Add measurements of pairs (P, 2) of key scans to a graph: the relative poses where their surfaces fit.
 
     Each counts fully, or, where the variance of a point is given, shares its scans' information with their others.
     """
-    found = surfaces.match(graph.poses, pairs, gate_m, max(_SIGMA_M, _SCALE_RATIO * gate_m), by_incidence=True)
+    scale_m = max(_SIGMA_M, _SCALE_RATIO * gate_m)
+    found = surfaces.match(graph.poses, pairs, gate_m, scale_m, by_incidence=True, threads=threads)
     is_matched = found.counts >= _MIN_POINTS
     own = pairs[is_matched]
     weights = np.full(len(own), 1 / (2 * _SIGMA_M**2))
@@ -140,6 +146,7 @@ def match_scans(
     surfaces: Surfaces,
     key_poses: FloatArray,
     variance: float,
+    threads: int = 1,
 ) -> tuple[FloatArray, FloatArray]:
     """Match scans to the key scans about them; poses (N, 3) of all scans, information (N, 3, 3) of each match.
 
@@ -170,14 +177,16 @@ def match_scans(
         about = keys[own][:, None] + np.arange(1 - _KEY_SCANS_BESIDE, 1 + _KEY_SCANS_BESIDE)
         about = np.clip(about, 0, len(key_poses) - 1)
         low, high = int(about.min()), int(about.max()) + 1
-        whole = surfaces.of_scans(low, high).append(Surfaces.of(batch, LINE_REACH_M))
+        whole = surfaces.of_scans(low, high).append(Surfaces.of(batch, LINE_REACH_M, threads))
         pairs = np.stack(np.broadcast_arrays(about - low, high - low + np.arange(len(own))[:, None]), -1)
         at = poses[own]
         far = np.ones(len(own), np.bool_)  # from where they were before the step, so that they are matched again
         of_own = np.zeros((len(own), 3, 3))
         for gate_m in _GATES_M[-2:]:
             seen_from = np.concatenate([key_poses[low:high], at])
-            found = whole.match(seen_from, pairs[far].reshape(-1, 2), gate_m, _SIGMA_M, both=False, by_incidence=True)
+            found = whole.match(
+                seen_from, pairs[far].reshape(-1, 2), gate_m, _SIGMA_M, both=False, by_incidence=True, threads=threads
+            )
             weight = (found.counts >= _MIN_POINTS)[:, None] / (2 * _SIGMA_M**2)
             shape = (-1, 2 * _KEY_SCANS_BESIDE, 3)
             information = (weight[..., None] * found.information).reshape(*shape, 3).sum(axis=1)
