@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import os
 import subprocess
 import sys
@@ -25,8 +26,12 @@ SCANS = 120
 
 
 @pytest.fixture
-def call(capsys):
-    """Run the command line: exit status, standard output and standard error."""
+def call(capsys, monkeypatch):
+    """Run the command line: exit status, standard output and standard error.
+
+    Lines of progress, which a busy machine adds after seconds, are not printed: standard error has warnings alone.
+    """
+    monkeypatch.setattr("gridslam.cli.output._LINE_EVERY_S", math.inf)
 
     def run(*arguments):
         status = main([str(argument) for argument in arguments])

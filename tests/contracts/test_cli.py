@@ -42,6 +42,7 @@ FILES = {
     "run.json",
 }
 FEW = "--particles", "3"
+LINE_EVERY_S = output_module._LINE_EVERY_S  # which the fixture `call` makes infinite
 
 
 @pytest.fixture(scope="module")
@@ -152,6 +153,7 @@ def test_progress_of_what_takes_unknown_time_has_no_percentage(monkeypatch, caps
 def test_progress_is_a_plain_line_every_few_seconds_and_none_with_json(log, tmp_path, call, monkeypatch):
     seconds = itertools.count()
     monkeypatch.setattr(output_module, "time", SimpleNamespace(perf_counter=lambda: float(next(seconds))))
+    monkeypatch.setattr(output_module, "_LINE_EVERY_S", LINE_EVERY_S)
     _, _, err = call("map", log, "-o", tmp_path / "out", *FEW)
     lines = err.splitlines()
     assert len(lines) == 24  # every five of 120 seconds, one for each scan

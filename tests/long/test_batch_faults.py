@@ -10,8 +10,7 @@ from support.batch_kills import kill_and_repeat
 def test_of_100_logs_with_17_faults_83_are_mapped(tmp_path):
     logs = write_logs(tmp_path / "logs", 83)
     jobs = with_faults([map_job(log, log.stem) for log in logs], broken=10, hanging=3, greedy=3, crashing=1)
-    limits = {"timeout_s": 15.0, "memory_bytes": 2 * 10**9}
-    rows = run_jobs(jobs, tmp_path / "out", workers=2, **limits)
+    rows = run_jobs(jobs, tmp_path / "out", workers=2, timeout_s=15.0)
     assert len(rows) == 100
     assert sum(row["status"] == "done" for row in rows) == 83
     check_faults(rows, tmp_path / "out", broken=10, hanging=3, greedy=3, crashing=1)

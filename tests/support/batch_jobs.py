@@ -148,6 +148,9 @@ def hang(arguments):
 
 
 def take_memory(arguments):
+    import resource  # not of Windows
+
+    resource.setrlimit(resource.RLIMIT_AS, (2 * 10**9, 2 * 10**9))
     return {"size": len(bytearray(10 * 10**9))}
 
 

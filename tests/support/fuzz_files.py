@@ -51,7 +51,6 @@ from gridslam.io.ros_parameters import read_parameter_file
 from gridslam.io.sessions.session_file import read_session
 from gridslam.io.text import read_json
 from gridslam.io.trajectories import read_relations, read_trajectory, read_trajectory_csv, read_tum
-from gridslam.live.graph_edits import EDITS, EDITS_SCHEMA, EditedGraph
 from gridslam.live.history_file import HISTORY_NAME, read_history
 from gridslam.live.replay import Replay
 from gridslam.localization import KnownMap
@@ -671,9 +670,8 @@ def _results(folder: Path) -> Iterator[Family]:
     messages("late scans", "by 2 s")
     document["messages"] = messages.to_list()
     (folder / "out" / "run.json").write_text(json.dumps(document))
-    (folder / "out" / EDITS).write_text(json.dumps({"schema": EDITS_SCHEMA, "rejected": [[0, 3]]}))
     write_map(folder / "out" / "map.yaml", result.map)
-    names = ("run.json", EDITS, HISTORY_NAME, "graph.g2o", "trajectory.tum", "map.yaml", "map.pgm")
+    names = ("run.json", HISTORY_NAME, "graph.g2o", "trajectory.tum", "map.yaml", "map.pgm")
     whole = {name: (folder / "out" / name).read_bytes() for name in names}
     record = dict(np.load(folder / "out" / HISTORY_NAME).items())
 
@@ -696,7 +694,6 @@ def _results(folder: Path) -> Iterator[Family]:
             (to / chosen).write_bytes(damage(whole[chosen], kinds, rng)[0])
 
     def read(where: Path) -> None:
-        EditedGraph(where)
         replay = Replay(where)
         viewer = replay.add_viewer(lambda: None)
         for at in (10**6, 0, len(replay.results.times_s) // 2):

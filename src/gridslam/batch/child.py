@@ -49,9 +49,7 @@ _children = threading.Lock()
 """Held where a child is started or its status read: two threads that read one status would lose it."""
 
 
-def run_job(
-    job: Job, out: Path, stopped: threading.Event, *, timeout_s: float | None = None, memory_bytes: int | None = None
-) -> dict[str, Any]:
+def run_job(job: Job, out: Path, stopped: threading.Event, *, timeout_s: float | None = None) -> dict[str, Any]:
     """Run a job in a child process, which is killed when the batch is `stopped`.
 
     Parameters
@@ -64,8 +62,6 @@ def run_job(
         Set when the batch ends.
     timeout_s : float, optional
         Time limit, s.
-    memory_bytes : int, optional
-        Limit of the address space (Linux).
 
     Returns
     -------
@@ -80,7 +76,6 @@ def run_job(
         "arguments": job.arguments,
         "out": os.fspath(folder),
         "job": job.summary(),
-        "memory_bytes": memory_bytes,
     }
     end = _run_child(request, timeout_s, stopped)
     row = start_row(job) | {"started": started}
@@ -112,11 +107,11 @@ def _name_failure(end: Mapping[str, Any], timeout_s: float | None) -> tuple[str,
     if "error" in end:
         return end["error"], end["message"]
     code = end["exit_status"]
-    if end["out_of_memory"] or "bad_alloc" in end["output_tail"] or "MemoryError" in end["output_tail"][-200:]:
-        return "out of memory", "killed by the system" if code < 0 else "ended without a result"
+    if "bad_alloc" in end["output_tail"] or "MemoryError" in end["output_tail"][-200:]:
+        return "out of memory", "ended without a result"
     if code < 0:
         name = signal.Signals(-code).name if -code in set(signal.Signals) else f"signal {-code}"
-        return name, f"ended by {name}"
+        return name, f"ended by {name}" + ", as Linux ends programs where memory is short" * (code == -signal.SIGKILL)
     return "exit", f"ended with status {code} and without a result"
 
 
@@ -125,7 +120,6 @@ def _run_child(request: Mapping[str, Any], timeout_s: float | None, stopped: thr
     with tempfile.TemporaryDirectory() as folder:
         output, result = Path(folder, "output"), Path(folder, "result")
         output.touch()
-        kills = _count_oom_kills()
         ended = timed_out = False
         child = _start(request, output, result)
         began = time.monotonic()  # the first child waits for the server
@@ -143,7 +137,6 @@ def _run_child(request: Mapping[str, Any], timeout_s: float | None, stopped: thr
         return {
             "exit_status": code,
             "timed_out": timed_out and code != 0,
-            "out_of_memory": code == -signal.SIGKILL and not timed_out and _count_oom_kills() > kills,
             "wall_s": time.monotonic() - began,
             "output_tail": output.read_bytes()[-_TAIL_BYTES:].decode("utf-8", "replace"),
             **(json.loads(result.read_text(encoding="utf-8")) if code == 0 and result.exists() else {}),
@@ -177,15 +170,6 @@ def _kill_group(pid: int | None, *, ended: bool = False) -> None:
             os.kill(pid, getattr(signal, "SIGKILL", signal.SIGTERM))
 
 
-def _count_oom_kills() -> int:
-    """Return number of processes that Linux has killed because memory was short, as far as it counts them."""
-    try:
-        lines = Path("/proc/vmstat").read_text(encoding="ascii").splitlines()
-    except OSError:
-        return 0
-    return next((int(line.split()[1]) for line in lines if line.startswith("oom_kill ")), 0)
-
-
 def _work(request: Mapping[str, Any], environment: dict[str, str], output: Path, result: Path) -> None:
     """Run a request in this process, a child; write its output to one file and its outcome to another.
 
@@ -201,7 +185,7 @@ def _work(request: Mapping[str, Any], environment: dict[str, str], output: Path,
         for number in numbers:
             os.dup2(descriptor, number)
     faulthandler.enable(file=2)
-    _limit(request["memory_bytes"])
+    _forbid_core_files()
     end = _execute(request) | _measure_cost()
     result.write_text(json.dumps(end), encoding="utf-8")
 
@@ -231,7 +215,6 @@ def _execute(request: Mapping[str, Any]) -> dict[str, Any]:
         json.dumps(document, allow_nan=False)
         return {"document": document}
     except MemoryError as error:
-        _lift_memory_limit()
         return {"error": "out of memory", "message": f"memory is short: {error}".removesuffix(": ")}
     except (GridslamError, OSError) as error:
         return {"error": type(error).__name__, "message": " ".join(str(error).split())}
@@ -249,27 +232,12 @@ def _finish(request: Mapping[str, Any], document: Mapping[str, Any]) -> dict[str
     return marked
 
 
-def _limit(memory_bytes: int | None) -> None:
-    """Limit the address space, and write no core file."""
-    if sys.platform == "win32":
-        return
-    import resource
-
-    resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
-    if memory_bytes is not None and sys.platform == "linux":
-        _, hard = resource.getrlimit(resource.RLIMIT_AS)
-        if hard != resource.RLIM_INFINITY:
-            memory_bytes = min(memory_bytes, hard)
-        resource.setrlimit(resource.RLIMIT_AS, (memory_bytes, hard))
-
-
-def _lift_memory_limit() -> None:
-    """Raise the memory limit of a process that must report that its memory is exhausted."""
-    with suppress(ImportError, OSError, ValueError):
+def _forbid_core_files() -> None:
+    """Let a process that crashes write no core file."""
+    with suppress(ImportError):  # Windows
         import resource
 
-        _, hard = resource.getrlimit(resource.RLIMIT_AS)
-        resource.setrlimit(resource.RLIMIT_AS, (hard, hard))
+        resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
 
 
 def _measure_cost() -> dict[str, Any]:

@@ -41,7 +41,6 @@ def run_jobs(
     *,
     workers: int,
     timeout_s: float | None = None,
-    memory_bytes: int | None = None,
     on_row: Callable[[dict[str, Any]], None] = lambda row: None,
     on_poll: Callable[[], object] = lambda: None,
 ) -> list[dict[str, Any]]:
@@ -61,8 +60,6 @@ def run_jobs(
         How many run at a time, 1 to 256.
     timeout_s : float, optional
         Time limit of each job, s.
-    memory_bytes : int, optional
-        Limit of the address space of each job (Linux).
     on_row : callable
         Called with each row when its job has ended, first with those of earlier runs, whose ``resumed`` is true.
     on_poll : callable
@@ -80,7 +77,7 @@ def run_jobs(
     OutputError
         OUT cannot be written (the disk is full), or another batch runs in it. Rows that were written stay.
     """
-    _check(jobs, workers, timeout_s, memory_bytes)
+    _check(jobs, workers, timeout_s)
     folder = Path(out)
     rows = dict[str, dict[str, Any]]()
     with Journal(folder) as journal, _lock(folder):
@@ -98,7 +95,7 @@ def run_jobs(
             else:
                 record(earlier, resumed=True)
             on_poll()
-        run = partial(run_job, out=folder.absolute(), timeout_s=timeout_s, memory_bytes=memory_bytes)
+        run = partial(run_job, out=folder.absolute(), timeout_s=timeout_s)
         try:
             with closing(_run(queue, run, workers, on_poll)) as ended:
                 for together in ended:
@@ -191,14 +188,12 @@ def _is_disk_full(row: Mapping[str, Any]) -> bool:
     return row["error"] in ("OutputError", "OSError") and any(text in message for text in _FULL)
 
 
-def _check(jobs: Sequence[Job], workers: int, timeout_s: float | None, memory_bytes: int | None) -> None:
+def _check(jobs: Sequence[Job], workers: int, timeout_s: float | None) -> None:
     twice = [name for name, count in Counter(job.folder for job in jobs).items() if count > 1]
     if twice:
         raise ArgumentError("jobs", "a folder for each", f"{twice[0]} twice")
     if timeout_s is not None and not 0 < timeout_s < float("inf"):
         raise ArgumentError("timeout_s", "a time > 0 s", timeout_s)
-    if memory_bytes is not None and memory_bytes < 1:
-        raise ArgumentError("memory_bytes", "a number >= 1", memory_bytes)
     if not 1 <= workers <= MOST_WORKERS:
         raise ArgumentError("workers", f"a number from 1 to {MOST_WORKERS}", workers)
 

@@ -45,7 +45,6 @@ def run_batch(
     reference: str | None,
     workers: int | None,
     timeout_s: float | None,
-    memory_mb: float | None,
     as_json: bool,
     words: Sequence[str],
 ) -> int:
@@ -64,7 +63,6 @@ def run_batch(
             out,
             workers=workers or _count_processors(),
             timeout_s=timeout_s,
-            memory_bytes=None if memory_mb is None else round(1e6 * memory_mb),
             on_row=progress.on_row,
             on_poll=lambda: display(progress.describe),
         )

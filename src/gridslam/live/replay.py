@@ -87,7 +87,7 @@ class Replay:
             "truth": len(self.beside.path) > 0,
             "session": self._session is not None,
             "edits": is_editable,
-            "scan": self.editor is not None and self.editor.has_scans,
+            "scan": self.editor is not None,
         }
         if self.history is not None:
             found |= dict.fromkeys(("scan", "particles"), True)

@@ -12,7 +12,7 @@ from gridslam.io.sessions.session_file import read_session
 from gridslam.live.options import LiveOptions
 from gridslam.live.replay import Replay
 from gridslam.live.server import PageServer
-from support.browsing import check_by_axe, click, on_screen, pixels_of, shown, text, told, wait
+from support.browsing import check_by_axe, click, on_screen, pixels_of, text, told, wait
 from support.loops import PROVOKED
 
 
@@ -78,16 +78,3 @@ def test_an_edge_is_chosen_on_the_map(page):
     page.find_element("css selector", "#residuals li button").click()
     wait(lambda: text(page, "#overlay") == "", "none")
     assert not page.find_element("id", "reject").is_enabled()
-
-
-def test_without_a_session_nothing_is_added(browser, mapped, tmp_path):
-    for name in ("graph.g2o", "run.json", "trajectory.tum", "map.yaml", "map.pgm"):
-        (tmp_path / name).write_bytes((mapped / name).read_bytes())
-    with PageServer(Replay(tmp_path, edits_graph=True), LiveOptions(port=0)) as server:
-        browser.get(server.url)
-        wait(lambda: shown(browser, "edits"), "what edits")
-        assert not shown(browser, "put")
-        assert not shown(browser, "add")
-        browser.find_element("css selector", "#residuals li button").click()
-        click(browser, "reject")
-        wait(lambda: text(browser, "#edits span") == "1 rejected", "rejected all the same")

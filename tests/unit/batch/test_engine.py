@@ -127,13 +127,9 @@ def test_a_journal_of_another_form_is_refused(tmp_path):
         run([], tmp_path)
 
 
-@pytest.mark.parametrize(
-    ("options", "argument"),
-    [({"timeout_s": 0}, "timeout_s"), ({"memory_bytes": 0}, "memory_bytes")],
-)
-def test_limits_out_of_range_are_refused(tmp_path, options, argument):
-    with pytest.raises(ArgumentError, match=argument):
-        run([], tmp_path, **options)
+def test_limits_out_of_range_are_refused(tmp_path):
+    with pytest.raises(ArgumentError, match="timeout_s"):
+        run([], tmp_path, timeout_s=0)
     with pytest.raises(ArgumentError, match="a folder for each"):
         run([make_job("leave", "a"), make_job("leave", "a", b=1)], tmp_path)
     with pytest.raises(ArgumentError, match="workers"):

@@ -10,113 +10,15 @@ import pytest
 from gridslam.api.mapping import map_log
 from gridslam.api.session import Session
 from gridslam.errors import ArgumentError, InputError, OutputError
-from gridslam.geometry.se2 import between
 from gridslam.io.carmen.writer import write_carmen
 from gridslam.io.g2o import read_g2o, write_g2o
 from gridslam.io.sessions.session_file import read_session, write_session
-from gridslam.live.graph_edits import EDITED_GRAPH, EDITS, EditedGraph
+from gridslam.live.graph_edits import EDITED_GRAPH, EditedGraph
 from gridslam.live.replay import Replay
 from gridslam.slam.loop_closure.constraints import Constraint, ConstraintSource
 from gridslam.slam.loop_closure.graph_edits import GraphEdit, dump_edits, load_edits
-from gridslam.slam.pose_graph.graph_slam import GraphSlam
-from gridslam.slam.pose_graph.pose_graph import PoseGraph
 from support.loops import PROVOKED, loop_drive
 from support.page_client import PageClient
-
-IDS = np.arange(20) + 100
-
-
-@pytest.fixture
-def folder(tmp_path):
-    """A straight drive whose graph was solved with a false closure."""
-    poses = np.zeros((20, 3))
-    poses[:, 0] = np.arange(20.0)
-    pairs = [(k, k + 1) for k in range(19)] + [(0, 10), (2, 15)]
-    measured = between(poses[[a for a, _ in pairs]], poses[[b for _, b in pairs]])
-    measured[-1, :2] += 3.0
-    graph = PoseGraph.of(poses, pairs, measured, [np.eye(3)] * len(pairs))
-    write_g2o(tmp_path / "graph.g2o", GraphSlam().solve(graph).graph, IDS)
-    (tmp_path / "graph.json").write_text(json.dumps({"schema": "gridslam.graph/1", "input": {"path": "drive.g2o"}}))
-    return tmp_path
-
-
-def test_what_is_rejected_is_left_out_and_the_graph_is_solved_again(folder):
-    before = (folder / "graph.g2o").read_bytes()
-    edited = EditedGraph(folder)
-    assert abs(edited.results.path[:, 1]).max() > 0.3, "bent by the false closure"
-    edited.reject([2, 15])
-    assert abs(edited.results.path[:, 1]).max() < 1e-6
-    assert edited.results.status(0, 0.0)["chi2"] < 1e-9
-    assert json.loads((folder / EDITS).read_text())["rejected"] == [[102, 115]]
-    assert len(read_g2o(folder / EDITED_GRAPH).graph.edges) == 20
-    assert (folder / "graph.g2o").read_bytes() == before
-    again = EditedGraph(folder)
-    np.testing.assert_array_equal(again.results.path, edited.results.path)
-    again.reject([0, 10])
-    assert again.results.status(0, 0.0)["rejected"] == [[2, 15], [0, 10]]
-    again.undo()
-    assert again.results.status(0, 0.0)["rejected"] == [[2, 15]], "the last one alone is taken back"
-    again.undo()
-    np.testing.assert_allclose(again.results.path, EditedGraph(folder).results.path)
-    assert abs(again.results.path[:, 1]).max() > 0.3
-    assert json.loads((folder / EDITS).read_text())["rejected"] == []
-
-
-@pytest.mark.parametrize("wrong", [[0, 1], [2, 16], [2], "2,15", None, [15, 2], {}, [2.5, 15]])
-def test_what_is_no_edge_to_reject_changes_nothing(folder, wrong):
-    edited = EditedGraph(folder)
-    with pytest.raises(ArgumentError, match="edit: expected"):
-        edited.reject(wrong)
-    assert not (folder / EDITS).exists()
-
-
-@pytest.mark.parametrize(
-    "text", ['{"rejected": [[1, 2]]}', '{"rejected": 3}', "{}", '{"rejected": [[102, "a"]]}', "[]"]
-)
-def test_edits_that_are_none_are_refused_in_a_line(folder, text):
-    (folder / EDITS).write_text(text)
-    with pytest.raises(InputError, match=EDITS):
-        EditedGraph(folder)
-
-
-def test_all_who_look_see_the_edits_and_only_where_they_are_allowed(folder):
-    replay = Replay(folder, edits_graph=True)
-    one, other = replay.add_viewer(lambda: None), replay.add_viewer(lambda: None)
-    seen = PageClient()
-    one.command({"do": "edit", "edit": [2, 15]})
-    seen.catch_up(other)
-    assert seen.run_info["edits_graph"]
-    assert seen.status["rejected"] == [[2, 15]]
-    assert abs(seen.path[:, 1]).max() < 1e-6
-    one.command({"do": "edit", "edit": [0, 1]})
-    client = PageClient()
-    client.catch_up(one)
-    assert client.status["answer"].startswith("nothing has changed: edit: expected two poses that an edge joins")
-    with pytest.raises(ArgumentError, match="view --edit-graph"):
-        Replay(folder).add_viewer(lambda: None).command({"do": "edit", "edit": [2, 15]})
-
-
-def test_an_edit_that_cannot_be_saved_is_none(folder):
-    """What the page shows is what is saved: else a reload would take it back."""
-    edited = EditedGraph(folder)
-    before = edited.results
-    (folder / EDITS).mkdir()
-    with pytest.raises(OutputError):
-        edited.reject([2, 15])
-    assert edited.results is before
-    assert not (folder / EDITED_GRAPH).exists(), "no program reads what was not saved"
-    (folder / EDITS).rmdir()
-    edited.reject([2, 15])
-    assert edited.results.status(0, 0.0)["rejected"] == [[2, 15]], "once"
-
-
-def test_an_edit_whose_graph_cannot_be_written_is_none(folder):
-    edited = EditedGraph(folder)
-    (folder / EDITED_GRAPH / "full").mkdir(parents=True)
-    with pytest.raises(OutputError, match=EDITED_GRAPH):
-        edited.reject([2, 15])
-    assert edited.results.status(0, 0.0)["rejected"] == []
-    assert EditedGraph(folder).results.status(0, 0.0)["rejected"] == []
 
 
 @pytest.fixture(scope="module")
@@ -143,6 +45,54 @@ def session(mapped, tmp_path):
 def find_beside(edges, pair):
     """Edges within ten key scans of a pair."""
     return [edge for edge in np.sort(edges, axis=1).tolist() if np.abs(np.subtract(edge, pair)).max() < 10]
+
+
+@pytest.mark.parametrize("wrong", [[0, 1], [2, 16], [2], "2,15", None, [15, 2], {}, [2.5, 15]])
+def test_what_is_no_edge_to_reject_changes_nothing(mapped, session, wrong):
+    before = session.read_bytes()
+    edited = EditedGraph(mapped / "out", [session])
+    with pytest.raises(ArgumentError, match="edit: expected"):
+        edited.reject(wrong)
+    assert session.read_bytes() == before
+
+
+def test_all_who_look_see_the_edits_and_only_where_they_are_allowed(mapped, session, tmp_path):
+    out = tmp_path / "out"
+    shutil.copytree(mapped / "out", out)
+    shutil.copy(session, out / "loop.gridslam")
+    before = (out / "graph.g2o").read_bytes()
+    replay = Replay(out, edits_graph=True)
+    one, other = replay.add_viewer(lambda: None), replay.add_viewer(lambda: None)
+    pair = replay.results.status(0, 0.0)["residuals"][0][:2]
+    seen = PageClient()
+    one.command({"do": "edit", "edit": pair})
+    seen.catch_up(other)
+    assert seen.run_info["edits_graph"]
+    assert seen.status["rejected"] == [sorted(pair)]
+    assert (out / "graph.g2o").read_bytes() == before
+    edited = read_g2o(out / EDITED_GRAPH).graph
+    assert len(edited.edges) < len(read_g2o(out / "graph.g2o").graph.edges)
+    np.testing.assert_allclose(seen.path, edited.poses[:, :2], atol=1e-3)
+    one.command({"do": "edit", "edit": [0, 1]})
+    client = PageClient()
+    client.catch_up(one)
+    assert client.status["answer"].startswith("nothing has changed: edit: expected two poses that an edge joins")
+    with pytest.raises(ArgumentError, match="view --edit-graph"):
+        Replay(out).add_viewer(lambda: None).command({"do": "edit", "edit": pair})
+
+
+def test_the_last_edit_is_taken_back_alone(mapped, session):
+    edited = EditedGraph(mapped / "out", [session])
+    first, *_, second = (pair[:2] for pair in edited.results.status(0, 0.0)["residuals"])
+    edited.reject(first)
+    before = edited.results.path
+    edited.reject(second)
+    assert edited.results.status(0, 0.0)["rejected"] == [sorted(first), sorted(second)]
+    again = EditedGraph(mapped / "out", [session])
+    np.testing.assert_array_equal(again.results.path, edited.results.path)
+    again.undo()
+    assert again.results.status(0, 0.0)["rejected"] == [sorted(first)]
+    np.testing.assert_array_equal(again.results.path, before)
 
 
 def test_what_is_rejected_stays_so_however_the_session_goes_on(mapped, session, tmp_path):
@@ -246,7 +196,24 @@ def test_the_page_shows_both_scans_and_their_score(mapped, session, tmp_path):
     assert "edit: expected" in client.status["answer"], "nothing is proposed"
 
 
-def test_an_edit_whose_graph_cannot_be_written_is_none_in_a_session(mapped, session, tmp_path):
+def test_an_edit_that_cannot_be_saved_is_none(mapped, session, tmp_path, monkeypatch):
+    """What the page shows is what is saved: else a reload would take it back."""
+
+    def fail(path, saved):
+        raise OutputError("no space left")
+
+    shutil.copytree(mapped / "out", tmp_path / "out")
+    edited = EditedGraph(tmp_path / "out", [session])
+    (tmp_path / "out" / EDITED_GRAPH).unlink(missing_ok=True)
+    before = edited.results
+    monkeypatch.setattr("gridslam.live.graph_edits.write_session", fail)
+    with pytest.raises(OutputError, match="no space left"):
+        edited.reject(before.status(0, 0.0)["residuals"][0][:2])
+    assert edited.results is before
+    assert not (tmp_path / "out" / EDITED_GRAPH).exists(), "no program reads what was not saved"
+
+
+def test_an_edit_whose_graph_cannot_be_written_is_none(mapped, session, tmp_path):
     shutil.copytree(mapped / "out", tmp_path / "out")
     edited = EditedGraph(tmp_path / "out", [session])
     (tmp_path / "out" / EDITED_GRAPH).unlink(missing_ok=True)
@@ -260,24 +227,18 @@ def test_an_edit_whose_graph_cannot_be_written_is_none_in_a_session(mapped, sess
     assert len(read_session(session, makes_edits=False).edits) == 1
 
 
-def test_the_session_of_a_graph_is_the_first_that_has_its_key_scans(mapped, folder, session):
-    """Without one, edits are made without scans, and no session of another graph is touched."""
-    before = session.read_bytes()
-    other = EditedGraph(folder, [session])
-    assert not other.has_scans
-    other.reject([2, 15])
-    assert json.loads((folder / EDITS).read_text())["rejected"] == [[102, 115]]
-    assert session.read_bytes() == before
+def test_the_session_of_a_graph_is_the_first_that_has_its_key_scans(mapped, session):
     longer = session.with_name("longer.gridslam")
     continued = Session.open(session)
     continued.add(mapped / "rest.clf.gz", repair="none", place="same place")
     continued.save(longer)
     kept = longer.read_bytes()
     edited = EditedGraph(mapped / "out", [longer, session])
-    assert edited.has_scans
     edited.reject(edited.results.status(0, 0.0)["residuals"][0][:2])
     assert len(read_session(session, makes_edits=False).edits) == 1
     assert longer.read_bytes() == kept
+    with pytest.raises(InputError, match="a session of its graph"):
+        EditedGraph(mapped / "out", [longer])
 
 
 def test_a_session_that_another_program_has_saved_since_is_not_overwritten(mapped, session):

@@ -6,7 +6,7 @@ from typing import Any
 
 import click
 
-from gridslam.cli.option_types import MEMORY, OUTPUT_FILE, OUTPUT_FOLDER, TIME_LIMIT
+from gridslam.cli.option_types import OUTPUT_FILE, OUTPUT_FOLDER, TIME_LIMIT
 from gridslam.cli.options import json_option, map_options
 
 
@@ -44,13 +44,6 @@ class _BatchCommand(click.Command):
     "--workers", type=click.IntRange(1, 256), metavar="N", help="Logs at a time.  [default: number of processors]"
 )
 @click.option("--timeout", "timeout_s", type=TIME_LIMIT, metavar="S", help="Time limit for a log, s.")
-@click.option(
-    "--memory",
-    "memory_mb",
-    type=MEMORY,
-    metavar="MB",
-    help="Limit of the address space for a log, MB (Linux only).",
-)
 @click.option("--json", "as_json", is_flag=True, help="Print one JSON object a line for each log, and no progress.")
 def batch_command(**options: Any) -> int:  # noqa: ANN401
     """Map many logs, or run another command over them, each in a process of its own.

@@ -24,7 +24,7 @@ from gridslam.cli.options import evaluate_options, host_options, json_option
 @click.option(
     "--edit-graph",
     is_flag=True,
-    help="Show the pose graph in OUT and let viewers edit it: saved in OUT's session, or OUT/graph_edits.json.",
+    help="Show the pose graph in OUT and let viewers edit it: saved in OUT's session.",
 )
 @click.option("--floor", metavar="NAME", help="Of a session: the map that is shown.  [default: the newest drive's]")
 @host_options

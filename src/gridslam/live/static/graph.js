@@ -18,9 +18,8 @@ export class Graph {
 
   get isPutting() { return $("#put").getAttribute("aria-pressed") === "true"; }
 
-  setRunInfo({ edits_graph: edits, layers }) {
+  setRunInfo({ edits_graph: edits }) {
     $("#edits").hidden = !edits;
-    $("#put").hidden = $("#add").hidden = !layers.includes("scan"); // no session, no scans
   }
 
   show() {
