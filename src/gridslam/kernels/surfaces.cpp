@@ -259,8 +259,8 @@ void fit_surfaces(const double* ends, const int64_t* starts, const double* origi
                   int threads, double* points, double* normals, double* bearings, int64_t* counts) {
   parallel_for(static_cast<int>(scans), threads, [&](int scan) {
     const int64_t first = starts[scan];
-    counts[scan] = fit_scan(ends + 2 * first, starts[scan + 1] - first, origins + 2 * scan, reach_m,
-                            points + 2 * first, normals + 2 * first, bearings + first);
+    counts[scan] = fit_scan(ends + 2 * first, starts[scan + 1] - first, origins + 2 * scan, reach_m, points + 2 * first,
+                            normals + 2 * first, bearings + first);
   });
 }
 
