@@ -76,12 +76,18 @@ def simulated(kind: str, seed: int) -> tuple[list[Measurement], np.ndarray]:
     truth = log.truth.poses
     if kind != "sparse":
         return measurements, truth
-    kept = [0]
-    for k in range(len(truth)):
-        dx, dy, turn = between(truth[kept[-1]], truth[k])
-        if np.hypot(dx, dy) >= KEY_SCAN_M or abs(turn) >= KEY_SCAN_RAD:
-            kept.append(k)
+    kept = thin(truth)
     return [measurements[k] for k in kept], truth[kept]
+
+
+def thin(poses: np.ndarray, metres: float = KEY_SCAN_M, radians: float = KEY_SCAN_RAD) -> list[int]:
+    """Places of poses (N, 3) each of which is so far from the one before."""
+    kept = [0]
+    for k in range(len(poses)):
+        dx, dy, turn = between(poses[kept[-1]], poses[k])
+        if np.hypot(dx, dy) >= metres or abs(turn) >= radians:
+            kept.append(k)
+    return kept
 
 
 def judge(kind: str, seed: int, configuration: Configuration | None = None) -> dict[str, Any]:

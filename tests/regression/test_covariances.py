@@ -26,7 +26,6 @@ def averages(kind: str, configuration: Configuration) -> dict[str, float]:
 
 @pytest.mark.parametrize("kind", ["random", "rooms", "bare_corridors", "bare_corridors_10m", "halls", "sparse"])
 def test_average_nees_lies_in_its_band(kind):
-    """Single drives in corridors seen 10 m far may have 15 to 95, where the map is bent; none of these does."""
     found = averages(kind, Configuration())
     assert 1.0 < found["final_nees"] < LARGEST
     assert found["final_inside"] > 85

@@ -19,8 +19,8 @@ MIN_SEGMENTS = 20
 _CONVERGED_SIGMA_M = 0.05
 """... if it keeps to them as closely as this over a segment."""
 
-_SEGMENT_M = 0.5
-_SEGMENT_RAD = 0.5
+SEGMENT_M = 0.5
+SEGMENT_RAD = 0.5
 """A segment ends after either; the tracker's own error over it is a centimetre."""
 
 _PRIOR = 0.5
@@ -86,11 +86,11 @@ class OdometryErrorModel:
         """
         variance = float(self.variances[0])
         scale = variance / (_PRIOR + float(self.position[0, 0]))
-        return variance * moved_m / _SEGMENT_M + scale * ((way_m + moved_m) ** 2 - way_m**2)
+        return variance * moved_m / SEGMENT_M + scale * ((way_m + moved_m) ** 2 - way_m**2)
 
     def variances_of(self, moved_m: float, turned_rad: float) -> tuple[float, float]:
         """Return the variances (m^2, rad^2) of a motion, as a share of those of a whole segment."""
-        share = min(1.0, max(moved_m / _SEGMENT_M, turned_rad / _SEGMENT_RAD))
+        share = min(1.0, max(moved_m / SEGMENT_M, turned_rad / SEGMENT_RAD))
         position, heading = self.variances.tolist()
         return share * position, share * heading
 
@@ -196,8 +196,8 @@ class OdometryCalibration:
 
 
 def _is_long(a: Pose, b: Pose) -> bool:
-    is_far = math.hypot(b[0] - a[0], b[1] - a[1]) >= _SEGMENT_M
-    return is_far or abs(math.remainder(b[2] - a[2], math.tau)) >= _SEGMENT_RAD
+    is_far = math.hypot(b[0] - a[0], b[1] - a[1]) >= SEGMENT_M
+    return is_far or abs(math.remainder(b[2] - a[2], math.tau)) >= SEGMENT_RAD
 
 
 def _weigh(square: float, variance: float) -> float:

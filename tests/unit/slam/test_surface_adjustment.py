@@ -62,7 +62,7 @@ def test_key_scans_end_up_where_their_surfaces_fit(seen, archive, seed):
 
 def adjust(graph, batch):
     surfaces = Surfaces.of(batch)
-    return adjust_key_scans(graph, surfaces, surfaces)
+    return adjust_key_scans(graph, surfaces, surfaces, np.zeros(len(graph.poses), np.int64))
 
 
 def test_covariances_of_the_adjusted_graph_are_of_the_errors_size(seen, archive):
@@ -109,6 +109,17 @@ def test_scans_between_key_scans_are_matched_to_those_about_them(seen, archive):
     assert not information[~is_between].any()
     squares = np.einsum("ki,kij,kj->k", off, information, off)[is_between]
     assert 1.5 < squares.mean() < 6.0  # of three numbers each, beside those of the key scans that they were matched to
+
+
+def test_key_scans_are_not_matched_across_a_gap_that_nothing_joins(seen, archive):
+    batch = archive.batch(archive.keys[:90])
+    surfaces = Surfaces.of(batch)
+    components = np.repeat([0, 1], 45)
+    graph = graph_about(seen.truth[:90], 1)
+    whole, apart = (adjust_key_scans(graph, surfaces, surfaces, of, None)[0] for of in (0 * components, components))
+    joining, none = (np.diff(components[found.edges[len(graph.edges) :]])[:, 0].any() for found in (whole, apart))
+    assert joining
+    assert not none
 
 
 def test_frozen_key_scans_stay(seen, archive):

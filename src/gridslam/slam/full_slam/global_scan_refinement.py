@@ -8,13 +8,15 @@ from typing import NamedTuple, final
 
 import numpy as np
 
-from gridslam.geometry.se2 import between
+from gridslam.geometry.angles import wrap
+from gridslam.geometry.se2 import between, compose
 from gridslam.grid.tiles import TileMaps
 from gridslam.mapping.occupancy_grid_mapping import OccupancyGridMapping
 from gridslam.matching.sharpness import measure_sharpness
 from gridslam.matching.surfaces import Surfaces
 from gridslam.slam.full_slam.component_alignment import align_components
 from gridslam.slam.full_slam.full_trajectory import TrackedScans, full_trajectories
+from gridslam.slam.full_slam.key_motion import weigh_odometry
 from gridslam.slam.full_slam.laser_errors import LaserErrors, estimate_laser_errors
 from gridslam.slam.full_slam.surface_adjustment import LINE_REACH_M, adjust_key_scans, match_scans
 from gridslam.slam.full_slam.trajectory_score import TrajectoryScore, score_trajectory
@@ -110,8 +112,7 @@ class RefinementResult:
     measured : PoseGraph
         All that determines the best trajectory, by which its poses are uncertain (see `Adjusted`).
     graph : PoseGraph
-        The same without pairs of one visit, which the tracked motion joins, pairs across a gap in the laser data that
-        nothing else joins, which are no evidence, and those that the answer contradicts.
+        The same without pairs of one visit, which the tracked motion joins, and those that the answer contradicts.
     pairs : int
         Number of pairs in `graph`, its last measurements.
     sharpness_m : float or None, m
@@ -207,8 +208,7 @@ def refine_trajectory(
     graph.constraints = best.constraints
     count = len(measured.edges) - len(matched)
     errors = np.abs(measured.errors()[count:])
-    is_shown = np.diff(graph.label_rigid_components()[matched])[:, 0] == 0
-    is_shown &= np.diff(matched)[:, 0] > _SAME_VISIT
+    is_shown = np.diff(matched)[:, 0] > _SAME_VISIT
     is_shown &= (np.hypot(errors[:, 0], errors[:, 1]) < _AGREE_M) & (errors[:, 2] < _AGREE_RAD)
     shown = measured.select(np.append(np.ones(count, np.bool_), is_shown))
     laser_errors = estimate_laser_errors(surfaces, key_poses, matched)
@@ -262,6 +262,9 @@ class _Refinement:
         """
         recognized = [c for c in self.graph.constraints if c.source is ConstraintSource.RECOGNIZED]
         last = best = self._keep_trajectory("filter", trajectory, recognized)
+        driven = self._optimize("constraints", trajectory, best.constraints)
+        if _moved_m(driven, best) > _AGREE_M and self._log_likelihood(driven) > self._log_likelihood(best):
+            last = best = driven
         search = joining = 0
         while search - joining < _MAX_SEARCHES:
             components = len(np.unique(self.graph.label_rigid_components()))
@@ -271,8 +274,7 @@ class _Refinement:
                 break
             recognized = found.recognized_constraints
             contradicted = self.closure.find_contradicted(recognized, last.graph.poses)
-            moved_m = np.hypot(*(found.graph.poses - last.graph.poses)[:, :2].T).max()
-            agrees = best is last and not contradicted.any() and moved_m <= _AGREE_M
+            agrees = best is last and not contradicted.any() and _moved_m(found, last) <= _AGREE_M
             is_better = not agrees and self._log_likelihood(found) > self._log_likelihood(best)
             if agrees or is_better:
                 best = found
@@ -294,7 +296,11 @@ class _Refinement:
         if candidate.name not in self.adjusted:
             measured = self._measured(candidate)
             scans, threads = self.closure_state.scans, self.closure_state.threads
-            graph, variance = adjust_key_scans(measured, self.surfaces, self.fives, self.graph.rejected, threads)
+            components = self.graph.label_rigid_components(candidate.constraints)
+            graph, variance = adjust_key_scans(
+                measured, self.surfaces, self.fives, components, self.graph.rejected, threads
+            )
+            graph = place_components(graph, candidate.graph.poses, components)
             score, maps = score_trajectory(self.graph, scans, graph.poses, self.mapper, self.on_progress)
             self.adjusted[candidate.name] = Adjusted(graph, graph.edges[len(measured.edges) :], variance, score, maps)
         return self.adjusted[candidate.name]
@@ -305,9 +311,10 @@ class _Refinement:
     def _measured(self, best: Candidate) -> PoseGraph:
         """Graph of a candidate whose key scans are to be matched to each other.
 
-        The increments are the tracked ones, also of the filter, whose own are rough; but across a gap in the laser data
-        these are odometry alone, and the candidate's stay. Of matches to cells so much is left as a map needs that
-        nothing else joins, as surfaces of the same scans determine the same more exactly.
+        The increments are the tracked ones, also of the filter, whose own are rough, and those of the odometry (see
+        `weigh_odometry`); but across a gap in the laser data these are odometry alone, and the candidate's stay. Of
+        matches to cells so much is left as a map needs that nothing else joins, as surfaces of the same scans determine
+        the same more exactly.
         """
         tracked = np.array(self.graph.tracked)
         measurements = best.graph.measurements.copy()
@@ -316,12 +323,14 @@ class _Refinement:
         smooth[:count] = between(tracked[:-1], tracked[1:])
         errors = replace(best.graph, measurements=smooth).errors()[:count]
         squares = np.einsum("ki,kij,kj->k", errors, best.graph.information[:count], errors)
-        is_followed = (squares < _MOST_SQUARED) & (np.diff(self.graph.label_gaps()) == 0)
+        is_seen = np.diff(self.graph.label_gaps()) == 0
+        is_followed = is_seen & (squares < _MOST_SQUARED)
         measurements[:count][is_followed] = smooth[:count][is_followed]
+        graph = weigh_odometry(replace(best.graph, measurements=measurements), self.graph, is_seen)
         weights = best.weights.copy()
         is_of_cells = [c.source in (ConstraintSource.PROXIMITY, ConstraintSource.TRACKED) for c in best.constraints]
         weights[len(weights) - len(is_of_cells) :][is_of_cells] *= _CELLS_LEFT
-        return scale_information(replace(best.graph, measurements=measurements), weights)
+        return scale_information(graph, weights)
 
     def _add_closures(self, name: str, begin: Candidate) -> Candidate | None:
         """Add newly found closures to a candidate; None if there are none.
@@ -358,8 +367,11 @@ class _Refinement:
         closure_state.rejected[RejectionReason.IMPLAUSIBLE] += len(new) - len(recognized)
         if not recognized:
             return None
-        constraints = [*recognized, *known]
-        solution = GraphSlam(first_guess="given", robust=_ROBUST).solve(self._graph(solution.poses, constraints))
+        return self._optimize(name, solution.poses, [*recognized, *known])
+
+    def _optimize(self, name: str, poses: FloatArray, constraints: list[Constraint]) -> Candidate:
+        """Make a candidate of the tracked motion and constraints, beginning at poses (T, 3)."""
+        solution = GraphSlam(first_guess="given", robust=_ROBUST).solve(self._graph(poses, constraints))
         return Candidate(name, solution.graph, constraints, solution.weights)
 
     def _keep_trajectory(self, name: str, poses: FloatArray, recognized: list[Constraint]) -> Candidate:
@@ -386,3 +398,34 @@ class _Refinement:
             apart = np.flatnonzero(np.diff(self.graph.label_rigid_components()))
             measurements[apart] = between(poses[apart], poses[apart + 1])
         return replace(graph, information=information, measurements=measurements)
+
+
+def _moved_m(candidate: Candidate, other: Candidate) -> float:
+    """Return the greatest distance (m) of a key scan from where another candidate has it."""
+    return float(np.hypot(*(candidate.graph.poses - other.graph.poses)[:, :2].T).max())
+
+
+def place_components(graph: PoseGraph, before: FloatArray, components: IntArray) -> PoseGraph:
+    """Place the components that nothing joins where most of their poses were, seen from the one before the gap.
+
+    Parameters
+    ----------
+    graph : PoseGraph
+        Its first T - 1 measurements are the increments; those that join two components become what the poses have.
+    before : (T, 3) float64
+        The poses. Some after a gap can be off, as a filter's are, until the map tells.
+    components : (T,) int64
+        Rigid component of each.
+    """
+    poses, measurements = graph.poses.copy(), graph.measurements.copy()
+    is_first = components[1:] > np.maximum.accumulate(components[:-1])
+    for gap in np.flatnonzero(is_first[graph.held - 1 :]) + graph.held - 1:
+        own = components == components[gap + 1]
+        wanted = compose(poses[gap], between(before[gap], before[own]))
+        turn = np.median(wrap(wanted[:, 2] - poses[own, 2]))
+        turned = compose(np.array([0.0, 0.0, turn]), poses[own])
+        shift = np.append(np.median(wanted[:, :2] - turned[:, :2], axis=0), 0.0)
+        poses[own] = turned + shift
+    gaps = np.flatnonzero(np.diff(components))
+    measurements[gaps] = between(poses[gaps], poses[gaps + 1])
+    return replace(graph, poses=poses, measurements=measurements)

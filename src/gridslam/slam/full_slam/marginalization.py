@@ -54,7 +54,8 @@ def marginalize(graph: KeyGraph, kept: IntArray) -> KeyGraph:
         else:
             step = chain.join(before, key, users)
         tracked = compose(thinned.tracked[-1], step.moved) if place else graph.tracked[key]
-        thinned.extend(tracked, graph.poses[key], step.variances, step.covariance, step.drift_covariance)
+        moved = step.variances, step.covariance, step.drift_covariance
+        thinned.extend(tracked, graph.poses[key], *moved, graph.odometry[key])
     number = {key: place for place, key in enumerate(kept.tolist())}
     thinned.constraints = [
         c._replace(from_=number[c.from_], to=number[c.to])

@@ -53,7 +53,12 @@ _PRIOR_SIGMA_RAD = 0.01
 
 
 def adjust_key_scans(
-    graph: PoseGraph, surfaces: Surfaces, fives: Surfaces, rejected: IntArray | None = None, threads: int = 1
+    graph: PoseGraph,
+    surfaces: Surfaces,
+    fives: Surfaces,
+    components: IntArray,
+    rejected: IntArray | None = None,
+    threads: int = 1,
 ) -> tuple[PoseGraph, float]:
     """Return the graph with its key scans moved and the measurements of all pairs, and the variance (m^2) of a point.
 
@@ -62,7 +67,8 @@ def adjust_key_scans(
     pair, the relative pose that fits best, with the information of its points.
 
     A scan takes part in several pairs: while poses are sought it counts fully in each. In the graph that is returned
-    its pairs share its information, so that covariances follow from it (see `share_information`). Pairs near
+    its pairs share its information, so that covariances follow from it (see `share_information`). Across a gap in the
+    laser data that nothing joins, nearby poses are no evidence of a revisit, and nothing is matched. Pairs near
     `rejected` ones (R, 2), which a person has taken away, are left out.
 
     Parameters
@@ -71,8 +77,11 @@ def adjust_key_scans(
         What else is known of the key scans.
     surfaces, fives : Surfaces
         Of the key scans: of longer lines, which are matched, and of five beams, whose points are as they were measured.
+    components : (T,) int64
+        Rigid component of each key scan.
     """
-    pairs = _select_pairs(graph.poses)
+    pairs = select_pairs(graph.poses)
+    pairs = pairs[np.diff(components[pairs])[:, 0] == 0]
     for pair in [] if rejected is None else rejected.tolist():
         pairs = pairs[~join_near(pairs, pair)]
     poses = graph.poses
@@ -193,7 +202,7 @@ def match_scans(
     return matched, known
 
 
-def _select_pairs(poses: FloatArray) -> IntArray:
+def select_pairs(poses: FloatArray) -> IntArray:
     """Select pairs (P, 2) of key scans at poses (T, 3) to be matched: the last ones, and some of the others."""
     pairs: list[tuple[int, int]] = []
     for to in range(1, len(poses)):

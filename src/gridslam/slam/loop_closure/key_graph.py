@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from gridslam.arguments import Limits
 from gridslam.geometry import single_pose
 from gridslam.geometry.se2 import between, compose
-from gridslam.geometry.single_pose import ORIGIN, Pose, as_pose
+from gridslam.geometry.single_pose import ORIGIN, UNKNOWN_POSE, Pose, as_pose
 from gridslam.kernels import backend
 from gridslam.serialization import NOT_SAVED
 from gridslam.slam.loop_closure.constraints import Constraint, ConstraintSource, key_scan_pairs
@@ -145,6 +145,8 @@ class KeyGraph:
     ----------
     tracked : list of (3,) float64
         Poses in the tracker's frame.
+    odometry : list of (3,) float64
+        Poses by the odometry as it is, in a frame of its own in each drive; NaN without.
     poses : list of (3,) float64
         Poses in the map frame: as solved last, and as tracked since.
     variances : list of (float, float), m^2 and rad^2
@@ -166,6 +168,7 @@ class KeyGraph:
     """
 
     tracked: Annotated[list[Annotated[FloatArray, 3]], "T"] = field(default_factory=list)
+    odometry: Annotated[list[Annotated[FloatArray, 3]], "T"] = field(default_factory=list)
     poses: Annotated[list[Annotated[FloatArray, 3]], "T"] = field(default_factory=list)
     variances: Annotated[list[tuple[float, float]], "T"] = field(default_factory=list)
     covariances: Annotated[list[Annotated[FloatArray, 3, 3]], "T"] = field(default_factory=list)
@@ -239,12 +242,14 @@ class KeyGraph:
         variances: tuple[float, float],
         covariance: FloatArray | None = None,
         drift_covariance: FloatArray | None = None,
+        odometry: Pose | FloatArray = UNKNOWN_POSE,
     ) -> None:
         """Add a key scan: the tracker's pose (3,), the pose (3,) in the map, the variances of the increment.
 
         The expected covariance (3, 3) is that of the variances if not given, and that of the drift the same.
         """
         self.tracked.append(tracked)
+        self.odometry.append(np.array(odometry))
         self.poses.append(pose)
         self.variances.append(variances)
         expected = np.diag(np.take(variances, [0, 0, 1])) if covariance is None else covariance
@@ -290,6 +295,7 @@ class KeyGraph:
         last = compose(later.tracked[0], between(poses[0], self.poses[-1]))
         self.tracked = [*compose(last, between(self.tracked[-1], np.array(self.tracked))), *later.tracked]
         unknown = np.diag(np.take(variances, [0, 0, 1]))
+        self.odometry += later.odometry
         self.variances += [variances, *later.variances[1:]]
         self.covariances += [unknown, *later.covariances[1:]]
         self.drift_covariances += [unknown, *later.drift_covariances[1:]]
@@ -301,7 +307,8 @@ class KeyGraph:
 
     def truncate(self, keys: int) -> None:
         """Forget all but the first key scans, and the constraints of the others."""
-        for own in (self.tracked, self.poses, self.variances, self.covariances, self.drift_covariances):
+        increments = self.variances, self.covariances, self.drift_covariances
+        for own in (self.tracked, self.odometry, self.poses, *increments):
             del own[keys:]
         self.constraints = [constraint for constraint in self.constraints if constraint.to < keys]
         self.frozen = min(self.frozen, keys)
@@ -375,17 +382,17 @@ class KeyGraph:
         """Label (T,) of the stretch without a gap in the laser data that each key scan belongs to, ascending."""
         return np.array(self._gap_counts)
 
-    def label_rigid_components(self) -> IntArray:
-        """Label (T,) of the rigid component of each key scan.
+    def label_rigid_components(self, constraints: Sequence[Constraint] | None = None) -> IntArray:
+        """Label (T,) of the rigid component of each key scan, the number of its first stretch without a gap.
 
         Components are separated by gaps in the laser data, and joined by tracked or recognized constraints and by those
-        added by hand.
+        added by hand: by those of the graph, if no others are given.
         """
         if not self._gap_counts[-1]:
             return np.zeros(len(self), np.int64)
         labels = np.array(self._gap_counts)
         roots = np.arange(labels[-1] + 1)
-        for constraint in self.constraints:
+        for constraint in self.constraints if constraints is None else constraints:
             if constraint.determined and constraint.source is not ConstraintSource.PROXIMITY:
                 a = roots[labels[constraint.from_]]
                 b = roots[labels[constraint.to]]

@@ -123,7 +123,12 @@ class LoopClosure:
         closure_state = LoopClosureState()
         closure_state.scans.append(beams, state.tracker.pose, is_key=True)
         closure_state.online_poses.append(state.best_pose)
-        closure_state.graph.extend(np.array(state.key_pose), state.best_pose, self.drift.variances(0.0, 0.0))
+        closure_state.graph.extend(
+            np.array(state.key_pose),
+            state.best_pose,
+            self.drift.variances(0.0, 0.0),
+            odometry=state.tracker.odometry,
+        )
         return closure_state
 
     def __call__(
@@ -207,6 +212,7 @@ class LoopClosure:
             self.drift.bounds(increment, unmatched),
             self.drift.covariance(increment, unmatched, state.key_pose[2], first=len(graph) == 1),
             state.drift_covariance,
+            state.tracker.odometry,
         )
         closure_state.online_poses.append(state.best_pose)
 
