@@ -406,8 +406,8 @@ Surfaces view_surfaces(const Points& points, const Points& normals, const Vector
 }
 
 auto py_match_surfaces(Points points, Points normals, Vector bearings, Starts starts, Points origins, Poses poses,
-                       Shaped<const int64_t, -1, 2> pairs, double gate_m, double scale_m, bool both,
-                       bool by_incidence, int threads) {
+                       Shaped<const int64_t, -1, 2> pairs, double gate_m, double scale_m, bool both, bool by_incidence,
+                       int threads) {
   const size_t scans = poses.shape(0);
   const Surfaces surfaces = view_surfaces(points, normals, bearings, starts, origins);
   require(origins.shape(0) == scans, "poses: expected one for each scan");
