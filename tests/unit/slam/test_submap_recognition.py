@@ -79,6 +79,24 @@ def test_sets_of_consistent_matches_that_no_other_contradicts_are_accepted(match
     assert accepted.tolist() == expected
 
 
+def test_what_speaks_for_two_places_supports_neither():
+    """In a row of equal rooms a match agrees with ambiguous ones, and lies too far on for their rivals to reach it."""
+    other = [(130, 205, 0.0), (140, 215, 0.0), (150, 225, 0.0)]
+    accepted = SubmapRecognition().accept(line(500), candidates([*SET, *other, (185, 260, 0.0)]))
+    assert not accepted.any()
+
+
+def test_across_a_gap_any_other_place_lets_a_set_wait():
+    """One match elsewhere is too few to be a rival, but across a gap drift does not exclude that the place repeats."""
+    graph = line(500)
+    contradicted = candidates([*SET, (130, 230, 0.0), OTHER[0]])
+    assert SubmapRecognition().accept(graph, contradicted).tolist() == [True] * 4 + [False]
+    graph.variances[150] = (4.0, 0.1)
+    graph.correct(np.array(graph.poses))
+    assert SubmapRecognition().accept(graph, candidates(SET)).all()
+    assert SubmapRecognition().accept(graph, contradicted).tolist() == [False] * 5
+
+
 def test_none_is_rejected_for_want_of_what_supports_it_but_is_older():
     """What was accepted stays where a match comes so much later that only part of its set is looked at."""
     state = LoopClosureState(graph=line(500))

@@ -17,7 +17,7 @@ from gridslam.slam.loop_closure.place_matching import squared_sigmas
 from gridslam.slam.loop_closure.state import LoopClosureState, SubmapPrior
 from gridslam.slam.loop_closure.submap_matching import SubmapMatch, SubmapMatching
 from gridslam.slam.loop_closure.submap_pairs import SubmapPairs
-from gridslam.types import FloatArray
+from gridslam.types import FloatArray, IntArray
 
 _MATCH_SIGMA_M = 0.25
 _MATCH_SIGMA_RAD = 0.03
@@ -225,11 +225,20 @@ class SubmapRecognition:
         ]
 
     def accept(self, graph: KeyGraph, candidates: Sequence[Constraint]) -> NDArray[np.bool_]:
-        """Accept candidates (C,) that belong to a large set of consistent ones without a runner-up."""
+        """Accept candidates (C,) that belong to a large set of consistent ones without a runner-up.
+
+        Only those without a runner-up of their own count in a set: what speaks for two places speaks for neither.
+        Across a gap in the laser data drift excludes little, and a set waits for any other place: one that is found
+        shows that the place repeats, and then it may repeat where nothing is known, too.
+        """
         agree, support = self._compare(graph, candidates)
-        sizes = np.array([_clique_size(support & agree, first) for first in range(len(candidates))])
+        consistent = support & agree
+        sizes = _clique_sizes(consistent)
         runners_up = np.where(support & ~agree, sizes, 0).max(axis=1)
-        return np.asarray((sizes >= self.min_matches) & (runners_up < self.runner_up_ratio * sizes))
+        ends = graph.label_gaps()[key_scan_pairs(candidates)]
+        ratios = np.where(ends[:, 0] == ends[:, 1], self.runner_up_ratio, 0.0)
+        is_clear = (runners_up == 0) | (runners_up < ratios * sizes)
+        return np.asarray(is_clear & (_clique_sizes(consistent & is_clear) >= self.min_matches))
 
     def _compare(
         self, graph: KeyGraph, candidates: Sequence[Constraint]
@@ -278,13 +287,14 @@ def drift_distance(graph: KeyGraph, older: int, key: int, pose: FloatArray) -> f
     return squared_sigmas(covariance, np.append((found - guess)[:2], between(guess, found)[2]))
 
 
-def _clique_size(consistent: NDArray[np.bool_], first: int) -> int:
-    """Size of a clique with `first`, found greedily: always the candidate that most of those left agree with."""
-    left = np.flatnonzero(consistent[first] & (np.arange(len(consistent)) != first))
-    size = 1
-    while len(left):
-        agreeing = consistent[np.ix_(left, left)]
-        best = int(np.argmax(agreeing.sum(axis=1)))
-        left = left[agreeing[best] & (np.arange(len(left)) != best)]
-        size += 1
-    return size
+def _clique_sizes(consistent: NDArray[np.bool_]) -> IntArray:
+    """Sizes (C,) of cliques with each candidate, found greedily: always the one that most of those left agree with."""
+    sizes = np.ones(len(consistent), np.int64)
+    for first in range(len(consistent)):
+        left = np.flatnonzero(consistent[first] & (np.arange(len(consistent)) != first))
+        while len(left):
+            agreeing = consistent[np.ix_(left, left)]
+            best = int(np.argmax(agreeing.sum(axis=1)))
+            left = left[agreeing[best] & (np.arange(len(left)) != best)]
+            sizes[first] += 1
+    return sizes
