@@ -114,6 +114,25 @@ def test_the_tracked_motion_with_the_constraints_of_the_drive_is_compared_where_
     assert refinement.select(np.zeros((2, 3))).name == best
 
 
+@pytest.mark.parametrize(("apart", "best"), [(-4.0, 1), (-6.0, 0)])
+def test_components_that_nothing_joins_may_lie_apart_or_not(monkeypatch, apart, best):
+    """A filter has often matched them to its map, but along a corridor they fit anywhere."""
+
+    def adjust(_, one, components):
+        told = score(apart if components.any() else -5.0)
+        return Adjusted(one.graph, np.array([components]), 1e-4, told, MAPPER.empty(1))
+
+    monkeypatch.setattr(_Refinement, "_adjust", adjust)
+    state = LoopClosureState()
+    for variances in ((1e-4, 1e-4), (4.0, 1e-4)):
+        state.graph.extend(np.zeros(3), np.zeros(3), variances)
+    pairs = SubmapPairs()
+    refinement = _Refinement(state, None, None, MAPPER, LoopClosure(), lambda: None, [], 0, pairs, pairs)
+    found = refinement.adjust(candidate("filter", 0.0))
+    assert found.pairs.tolist() == [[0, best]]
+    assert refinement.adjust(candidate("filter", 0.0)) is found
+
+
 def test_a_component_that_nothing_joins_keeps_its_shape_and_lies_where_most_of_its_poses_were():
     """Its first pose, before the map told, was off by 2 m and turned; the first component was moved, and it with it."""
     rng = np.random.default_rng(5)

@@ -112,7 +112,8 @@ class RefinementResult:
     measured : PoseGraph
         All that determines the best trajectory, by which its poses are uncertain (see `Adjusted`).
     graph : PoseGraph
-        The same without pairs of one visit, which the tracked motion joins, and those that the answer contradicts.
+        The same without pairs of one visit, which the tracked motion joins, pairs across a gap in the laser data that
+        nothing else joins, which are no evidence, and those that the answer contradicts.
     pairs : int
         Number of pairs in `graph`, its last measurements.
     sharpness_m : float or None, m
@@ -208,7 +209,8 @@ def refine_trajectory(
     graph.constraints = best.constraints
     count = len(measured.edges) - len(matched)
     errors = np.abs(measured.errors()[count:])
-    is_shown = np.diff(matched)[:, 0] > _SAME_VISIT
+    is_shown = np.diff(graph.label_rigid_components()[matched])[:, 0] == 0
+    is_shown &= np.diff(matched)[:, 0] > _SAME_VISIT
     is_shown &= (np.hypot(errors[:, 0], errors[:, 1]) < _AGREE_M) & (errors[:, 2] < _AGREE_RAD)
     shown = measured.select(np.append(np.ones(count, np.bool_), is_shown))
     laser_errors = estimate_laser_errors(surfaces, key_poses, matched)
@@ -292,18 +294,29 @@ class _Refinement:
         return best
 
     def adjust(self, candidate: Candidate) -> Adjusted:
-        """Move the key scans of a candidate until their surfaces fit; the same again where that was done before."""
+        """Move the key scans of a candidate until their surfaces fit; the same again where that was done before.
+
+        Components that nothing joins may lie where the candidate has them, so that their surfaces fit, or not, so that
+        they do not: both are compared.
+        """
         if candidate.name not in self.adjusted:
-            measured = self._measured(candidate)
-            scans, threads = self.closure_state.scans, self.closure_state.threads
             components = self.graph.label_rigid_components(candidate.constraints)
-            graph, variance = adjust_key_scans(
-                measured, self.surfaces, self.fives, components, self.graph.rejected, threads
-            )
-            graph = place_components(graph, candidate.graph.poses, components)
-            score, maps = score_trajectory(self.graph, scans, graph.poses, self.mapper, self.on_progress)
-            self.adjusted[candidate.name] = Adjusted(graph, graph.edges[len(measured.edges) :], variance, score, maps)
+            found = [self._adjust(candidate, np.zeros_like(components))]
+            if components.any():
+                found.append(self._adjust(candidate, components))
+            self.adjusted[candidate.name] = max(found, key=lambda adjusted: adjusted.score.log_likelihood)
         return self.adjusted[candidate.name]
+
+    def _adjust(self, candidate: Candidate, components: IntArray) -> Adjusted:
+        """Move the key scans of a candidate; those of different components (T,) are not matched to each other."""
+        measured = self._measured(candidate)
+        scans, threads = self.closure_state.scans, self.closure_state.threads
+        graph, variance = adjust_key_scans(
+            measured, self.surfaces, self.fives, components, self.graph.rejected, threads
+        )
+        graph = place_components(graph, candidate.graph.poses, components)
+        score, maps = score_trajectory(self.graph, scans, graph.poses, self.mapper, self.on_progress)
+        return Adjusted(graph, graph.edges[len(measured.edges) :], variance, score, maps)
 
     def _log_likelihood(self, candidate: Candidate) -> float:
         return self.adjust(candidate).score.log_likelihood

@@ -67,9 +67,8 @@ def adjust_key_scans(
     pair, the relative pose that fits best, with the information of its points.
 
     A scan takes part in several pairs: while poses are sought it counts fully in each. In the graph that is returned
-    its pairs share its information, so that covariances follow from it (see `share_information`). Across a gap in the
-    laser data that nothing joins, nearby poses are no evidence of a revisit, and nothing is matched. Pairs near
-    `rejected` ones (R, 2), which a person has taken away, are left out.
+    its pairs share its information, so that covariances follow from it (see `share_information`). Pairs near `rejected`
+    ones (R, 2), which a person has taken away, are left out.
 
     Parameters
     ----------
@@ -78,7 +77,7 @@ def adjust_key_scans(
     surfaces, fives : Surfaces
         Of the key scans: of longer lines, which are matched, and of five beams, whose points are as they were measured.
     components : (T,) int64
-        Rigid component of each key scan.
+        Component of each key scan; those of different ones are not matched to each other.
     """
     pairs = select_pairs(graph.poses)
     pairs = pairs[np.diff(components[pairs])[:, 0] == 0]
