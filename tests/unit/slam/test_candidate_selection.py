@@ -41,6 +41,19 @@ def test_accepted_constraints_are_those_of_the_last_weights_and_recognized_ones_
     assert candidate("filter", 0.0, weights=[0.0]).accepted_constraints == []
 
 
+def begin(with_gap=False):
+    """A refinement of two key scans, with a gap in the laser data between them or without."""
+    state = LoopClosureState()
+    for variances in ((1e-4, 1e-4), (4.0 if with_gap else 1e-4, 1e-4)):
+        state.graph.extend(np.zeros(3), np.zeros(3), variances)
+    pairs = SubmapPairs()
+    return _Refinement(state, None, None, MAPPER, LoopClosure(), lambda: None, [], 0, pairs, pairs)
+
+
+def adjusted(one, likelihood):
+    return Adjusted(one.graph, one.graph.edges[:0], 1e-4, score(likelihood), MAPPER.empty(1))
+
+
 def score(likelihood):
     return TrajectoryScore(likelihood, 100, 0.8, -1.0)
 
@@ -71,22 +84,18 @@ def test_what_changes_the_trajectory_is_compared_with_it(monkeypatch, places, he
 
     def adjust(refinement, one):
         told = -5.0 if one.name == "filter" else likelihood + int(one.name[-1]) - 1
-        refinement.adjusted[one.name] = Adjusted(one.graph, one.graph.edges[:0], 1e-4, score(told), MAPPER.empty(1))
+        refinement.adjusted[one.name] = adjusted(one, told)
         return refinement.adjusted[one.name]
 
     monkeypatch.setattr(_Refinement, "_add_closures", add_closures)
     monkeypatch.setattr(_Refinement, "_keep_trajectory", keep_trajectory)
     monkeypatch.setattr(_Refinement, "_optimize", lambda _, name, poses, constraints: candidate(name, 0.0, constraints))
     monkeypatch.setattr(_Refinement, "adjust", adjust)
-    state = LoopClosureState()
-    for _ in range(2):
-        state.graph.extend(np.zeros(3), np.zeros(3), (1e-4, 1e-4))
-    pairs = SubmapPairs()
-    refinement = _Refinement(state, None, None, MAPPER, LoopClosure(), lambda: None, [], 0, pairs, pairs)
+    refinement = begin()
     assert refinement.select(np.zeros((2, 3))).name == best
     assert len(names) == searches
     assert taken[1:] == ([list(kept)] if kept else [])
-    assert state.rejected[RejectionReason.IMPLAUSIBLE] == (len(places) - len(kept) if kept else 0)
+    assert refinement.closure_state.rejected[RejectionReason.IMPLAUSIBLE] == (len(places) - len(kept) if kept else 0)
 
 
 @pytest.mark.parametrize(
@@ -98,19 +107,14 @@ def test_the_tracked_motion_with_the_constraints_of_the_drive_is_compared_where_
     """A filter can lose the right particle along a corridor that leaves a direction open."""
 
     def adjust(refinement, one):
-        told = score(-5.0 if one.name == "filter" else likelihood)
-        refinement.adjusted[one.name] = Adjusted(one.graph, one.graph.edges[:0], 1e-4, told, MAPPER.empty(1))
+        refinement.adjusted[one.name] = adjusted(one, -5.0 if one.name == "filter" else likelihood)
         return refinement.adjusted[one.name]
 
     monkeypatch.setattr(_Refinement, "_add_closures", lambda *_: None)
     monkeypatch.setattr(_Refinement, "_keep_trajectory", lambda _, name, *__: candidate(name, 0.0))
     monkeypatch.setattr(_Refinement, "_optimize", lambda _, name, *__: candidate(name, height))
     monkeypatch.setattr(_Refinement, "adjust", adjust)
-    state = LoopClosureState()
-    for _ in range(2):
-        state.graph.extend(np.zeros(3), np.zeros(3), (1e-4, 1e-4))
-    pairs = SubmapPairs()
-    refinement = _Refinement(state, None, None, MAPPER, LoopClosure(), lambda: None, [], 0, pairs, pairs)
+    refinement = begin()
     assert refinement.select(np.zeros((2, 3))).name == best
 
 
@@ -118,16 +122,13 @@ def test_the_tracked_motion_with_the_constraints_of_the_drive_is_compared_where_
 def test_components_that_nothing_joins_may_lie_apart_or_not(monkeypatch, apart, best):
     """A filter has often matched them to its map, but along a corridor they fit anywhere."""
 
-    def adjust(_, one, components):
+    def adjust(_, measured, before, components):
         told = score(apart if components.any() else -5.0)
-        return Adjusted(one.graph, np.array([components]), 1e-4, told, MAPPER.empty(1))
+        return Adjusted(measured, np.array([components]), 1e-4, told, MAPPER.empty(1))
 
+    monkeypatch.setattr(_Refinement, "_measured", lambda _, one: one.graph)
     monkeypatch.setattr(_Refinement, "_adjust", adjust)
-    state = LoopClosureState()
-    for variances in ((1e-4, 1e-4), (4.0, 1e-4)):
-        state.graph.extend(np.zeros(3), np.zeros(3), variances)
-    pairs = SubmapPairs()
-    refinement = _Refinement(state, None, None, MAPPER, LoopClosure(), lambda: None, [], 0, pairs, pairs)
+    refinement = begin(with_gap=True)
     found = refinement.adjust(candidate("filter", 0.0))
     assert found.pairs.tolist() == [[0, best]]
     assert refinement.adjust(candidate("filter", 0.0)) is found
@@ -171,18 +172,13 @@ def test_a_place_that_joins_components_and_is_rejected_is_not_searched_for_again
         return candidate(name, 0.0, recognized)
 
     def adjust(refinement, one):
-        told = score(-5.0 if one.name == "filter" else -6.0)
-        refinement.adjusted[one.name] = Adjusted(one.graph, one.graph.edges[:0], 1e-4, told, MAPPER.empty(1))
+        refinement.adjusted[one.name] = adjusted(one, -5.0 if one.name == "filter" else -6.0)
         return refinement.adjusted[one.name]
 
     monkeypatch.setattr(_Refinement, "_add_closures", add_closures)
     monkeypatch.setattr(_Refinement, "_keep_trajectory", keep_trajectory)
     monkeypatch.setattr(_Refinement, "_optimize", lambda _, name, poses, constraints: candidate(name, 0.0, constraints))
     monkeypatch.setattr(_Refinement, "adjust", adjust)
-    state = LoopClosureState()
-    for variances in ((1e-4, 1e-4), (4.0, 1e-4)):
-        state.graph.extend(np.zeros(3), np.zeros(3), variances)
-    pairs = SubmapPairs()
-    refinement = _Refinement(state, None, None, MAPPER, LoopClosure(), lambda: None, [], 0, pairs, pairs)
+    refinement = begin(with_gap=True)
     assert refinement.select(np.zeros((2, 3))).recognized_constraints == found[:2]
     assert len(names) == 1

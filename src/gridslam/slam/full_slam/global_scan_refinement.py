@@ -301,20 +301,20 @@ class _Refinement:
         """
         if candidate.name not in self.adjusted:
             components = self.graph.label_rigid_components(candidate.constraints)
-            found = [self._adjust(candidate, np.zeros_like(components))]
+            measured = self._measured(candidate)
+            found = [self._adjust(measured, candidate.graph.poses, np.zeros_like(components))]
             if components.any():
-                found.append(self._adjust(candidate, components))
+                found.append(self._adjust(measured, candidate.graph.poses, components))
             self.adjusted[candidate.name] = max(found, key=lambda adjusted: adjusted.score.log_likelihood)
         return self.adjusted[candidate.name]
 
-    def _adjust(self, candidate: Candidate, components: IntArray) -> Adjusted:
-        """Move the key scans of a candidate; those of different components (T,) are not matched to each other."""
-        measured = self._measured(candidate)
+    def _adjust(self, measured: PoseGraph, before: FloatArray, components: IntArray) -> Adjusted:
+        """Move key scans from poses (T, 3); those of different components (T,) are not matched to each other."""
         scans, threads = self.closure_state.scans, self.closure_state.threads
         graph, variance = adjust_key_scans(
             measured, self.surfaces, self.fives, components, self.graph.rejected, threads
         )
-        graph = place_components(graph, candidate.graph.poses, components)
+        graph = place_components(graph, before, components)
         score, maps = score_trajectory(self.graph, scans, graph.poses, self.mapper, self.on_progress)
         return Adjusted(graph, graph.edges[len(measured.edges) :], variance, score, maps)
 
