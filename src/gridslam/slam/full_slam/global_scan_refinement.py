@@ -296,8 +296,8 @@ class _Refinement:
     def adjust(self, candidate: Candidate) -> Adjusted:
         """Move the key scans of a candidate until their surfaces fit; the same again where that was done before.
 
-        Components that nothing joins may lie where the candidate has them, so that their surfaces fit, or not, so that
-        they do not: both are compared.
+        Where no constraint joins components, their surfaces are matched to each other in one trial and not in another;
+        the one with the better score is returned.
         """
         if candidate.name not in self.adjusted:
             components = self.graph.label_rigid_components(candidate.constraints)

@@ -227,9 +227,9 @@ class SubmapRecognition:
     def accept(self, graph: KeyGraph, candidates: Sequence[Constraint]) -> NDArray[np.bool_]:
         """Accept candidates (C,) that belong to a large set of consistent ones without a runner-up.
 
-        Only those without a runner-up of their own count in a set: what speaks for two places speaks for neither.
-        Across a gap in the laser data drift excludes little, and a set waits for any other place: one that is found
-        shows that the place repeats, and then it may repeat where nothing is known, too.
+        Only those without a runner-up of their own count in a set: a match that agrees equally with two places is
+        evidence for neither. Across a gap in the laser data drift excludes few places, and a set is not accepted while
+        any match contradicts it: such a match shows that the place looks like others, which may not be mapped yet.
         """
         agree, support = self._compare(graph, candidates)
         consistent = support & agree
