@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from typing import NamedTuple, final
 
-from gridslam.geometry.single_pose import Information, Pose, compose, exp, log, motion_of
+from gridslam.geometry.single_pose import UNKNOWN_POSE, Information, Pose, between, compose, exp, log, motion_of
 from gridslam.matching.branch_and_bound import BranchAndBound
 from gridslam.parameters import bounded, parameters
 from gridslam.tracking.state import SensorTrack, TrackerState
@@ -33,6 +33,9 @@ _BEAM_SIGMA_M = 0.03
 """Standard deviation of a beam against which a prediction by the velocity is weighed: a lidar's. Unlike wheels, mass
 does not slip."""
 
+_CELL_SIGMA_M = 0.05
+"""Standard deviation of a beam in a map of cells of 5 cm, where few of them determine a direction."""
+
 NEWEST_WEIGHT = 0.05
 """Weight of the newest scan in a running mean."""
 
@@ -49,6 +52,7 @@ class Prediction(NamedTuple):
     sigma_m: float
     sigma_rad: float
     beam_sigma_m: float  # that of a beam, against which the prediction is weighed
+    reading: Pose = UNKNOWN_POSE  # of the odometry, by which it was predicted
 
     @property
     def prior(self) -> Information:
@@ -56,6 +60,12 @@ class Prediction(NamedTuple):
         position = (self.beam_sigma_m / self.sigma_m) ** 2
         heading = (self.beam_sigma_m / self.sigma_rad) ** 2
         return position, 0.0, 0.0, position, 0.0, heading
+
+    @property
+    def calibrated_prior(self) -> Information:
+        """The same of calibrated odometry: few beams, such as see a corridor's length, do not outweigh its position."""
+        position = (_CELL_SIGMA_M / self.sigma_m) ** 2
+        return (position, 0.0, 0.0, position, 0.0, self.prior[5])
 
 
 @final
@@ -71,17 +81,20 @@ class PoseEstimate(NamedTuple):
     open_direction: tuple[float, float] | None = None  # unit vector along which the prediction was kept; None: no such
 
 
-def predict_by_odometry(state: TrackerState, increment: Pose, seconds: float, beam_sigma_m: float) -> Prediction:
-    """Predict the pose after an increment of the odometry since the last scan that was matched.
+def predict_by_odometry(
+    state: TrackerState, last: Pose, last_reading: Pose, reading: Pose, seconds: float, beam_sigma_m: float
+) -> Prediction:
+    """Predict the pose of a scan with a reading of the odometry from those of an earlier scan.
 
     The standard deviations grow with the motion, from a tenth of a cell on.
     """
-    pose = compose(state.matched_pose, increment)
+    increment = state.odometry_errors.correct_increment(between(last_reading, reading))
+    pose = compose(last, increment)
     moved_m, turned_rad = motion_of(increment)
     cell_m = state.maps.resolution_m
     sigma_m = 0.1 * cell_m + 0.15 * moved_m + 0.5 * cell_m * turned_rad
     sigma_rad = 0.003 + 0.05 * turned_rad + 0.04 * moved_m
-    return Prediction(pose, True, seconds, moved_m, turned_rad, sigma_m, sigma_rad, beam_sigma_m)
+    return Prediction(pose, True, seconds, moved_m, turned_rad, sigma_m, sigma_rad, beam_sigma_m, reading)
 
 
 @final

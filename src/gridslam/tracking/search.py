@@ -10,7 +10,7 @@ import numpy as np
 
 from gridslam.geometry.single_pose import Pose, as_pose
 from gridslam.matching.branch_and_bound import BranchAndBound, Pyramid
-from gridslam.matching.gauss_newton import NO_INFORMATION, GaussNewton, weigh_known_beams
+from gridslam.matching.gauss_newton import NO_INFORMATION, GaussNewton, PoseMatch, weigh_known_beams
 from gridslam.parameters import bounded, parameters
 from gridslam.tracking.odometry_calibration import MIN_SEGMENTS
 from gridslam.tracking.prediction import MAX_INTERVAL_S, PoseEstimate, Prediction
@@ -163,6 +163,12 @@ def calibrated(matcher: GaussNewton) -> GaussNewton:
     return replace(matcher, min_information=max(matcher.min_information, _CALIBRATED_INFORMATION))
 
 
+def known_inlier_ratio(state: TrackerState, match: PoseMatch, beams: BeamEnds, matcher: GaussNewton) -> float:
+    """Inlier ratio of a match, of the beams that end in known cells of the local map."""
+    weights = weigh_known_beams(state.maps, state.row, np.array(match.pose), beams.ends, matcher.cauchy_m)
+    return float(weights.sum()) / max(len(weights), _MIN_OVERLAP * len(beams))
+
+
 def _refine(
     state: TrackerState, pose: Pose, predicted: Prediction, beams: BeamEnds, matcher: GaussNewton
 ) -> PoseEstimate:
@@ -178,8 +184,7 @@ def _refine(
         along = np.array(match.pose)
         along[:2] -= axis * float(axis @ (along - predicted.pose)[:2])
         match = held.match_pose(state.maps, state.matched_map, as_pose(along), NO_INFORMATION, beams)
-    weights = weigh_known_beams(state.maps, state.row, np.array(match.pose), beams.ends, matcher.cauchy_m)
-    inlier_ratio = float(weights.sum()) / max(len(weights), _MIN_OVERLAP * len(beams))
+    inlier_ratio = known_inlier_ratio(state, match, beams, matcher)
     return PoseEstimate(
         match.pose,
         predicted,

@@ -30,7 +30,7 @@ from gridslam.tracking.prediction import (
     Prediction,
     predict_by_odometry,
 )
-from gridslam.tracking.search import OdometrySearch, calibrated, local_pyramid
+from gridslam.tracking.search import OdometrySearch, calibrated, known_inlier_ratio, local_pyramid
 from gridslam.tracking.state import (
     Control,
     SensorTrack,
@@ -163,7 +163,7 @@ class Tracker:
         self._advance(state, found)
         by_odometry = found.prediction.by_odometry
         state.rejected_odometry += odometry is not None and not by_odometry
-        if found.matched or not by_odometry:
+        if (found.matched and by_odometry) or not predicted.by_odometry:
             state.matched_pose = found.pose
             state.matched_odometry = reading
         state.stamp_ns = stamp_ns
@@ -176,14 +176,23 @@ class Tracker:
         return TrackedScan(found.pose, found.prediction.pose, control, beams, joint)
 
     def _predict(self, state: TrackerState, odometry: Pose, stamp_ns: int, seconds: float) -> Prediction:
-        measured = between(state.matched_odometry, odometry)
+        pose, last = state.matched_pose, state.matched_odometry
+        if self._contradicts_odometry(state):
+            pose, last = state.pose, state.odometry
         useless = not (state.odometry_errors.trusted or self.search.is_sparse(state))  # else velocities are worse
         passed = abs(stamp_ns - state.stamp_ns) * 1e-9
         jumped = self.velocity.exceeds(state.odometry, odometry, passed, _JUMP_M, _JUMP_RAD)
-        if not is_known(measured) or useless or jumped:
+        if not (is_known(last) and is_known(odometry)) or useless or jumped:
             return self.velocity.predict(state, seconds)
-        increment = state.odometry_errors.correct_increment(measured)
-        return predict_by_odometry(state, increment, seconds, self.beam_sigma_m)
+        return predict_by_odometry(state, pose, last, odometry, seconds, self.beam_sigma_m)
+
+    def _contradicts_odometry(self, state: TrackerState) -> bool:
+        """Whether the last scan was found where the odometry did not lead: wheels slip, and readings come late."""
+        if state.odometry == state.matched_odometry or not is_known(state.odometry):
+            return False
+        increment = state.odometry_errors.correct_increment(between(state.matched_odometry, state.odometry))
+        led_to = compose(state.matched_pose, increment)
+        return not is_within(led_to, state.pose, self.standstill_m, self.standstill_rad)
 
     def _locate_deskewed(self, state: TrackerState, predicted: Prediction, beams: Beams) -> tuple[PoseEstimate, Beams]:
         """Find where a scan with beam times was taken, and how its beams are seen from there at its stamp.
@@ -238,14 +247,35 @@ class Tracker:
         found = self._match_from_odometry(state, predicted, joint)
         if found.inlier_ratio >= self.search_inlier_ratio:
             return found
-        needed = self.search_inlier_ratio
+        needed, gain = self.search_inlier_ratio, self.slip_inlier_gain
         if self.search.is_far_from_last(state, predicted):
             other = self.search(state, predicted, joint, self.matcher)
             if found.lost and not self.search.had_blind_gap(state, predicted):
                 needed = self.min_inlier_ratio  # the only place that the odometry allows
         else:  # it may be the odometry that is wrong: a reading came late
             other = self._match_from_velocity(state, self.velocity.predict(state, predicted.seconds), joint)
-        return other if other.inlier_ratio >= max(needed, found.inlier_ratio + self.slip_inlier_gain) else found
+            gain = self._required_gain(state, predicted, other.pose)
+        if self._contradicts_odometry(state):  # the last scan's reading came early or late, and this one is right
+            before = (state.matched_pose, state.matched_odometry)
+            led_to = predict_by_odometry(state, *before, predicted.reading, predicted.seconds, self.beam_sigma_m)
+            again = self._match_from_odometry(state, led_to, joint)
+            if again.inlier_ratio > other.inlier_ratio:
+                other, gain = again, self.slip_inlier_gain
+        return other if other.inlier_ratio >= max(needed, found.inlier_ratio + gain) else found
+
+    def _required_gain(self, state: TrackerState, predicted: Prediction, pose: Pose) -> float:
+        """Gain of the inlier ratio that a place needs that the odometry does not lead to; see `slip_inlier_gain`."""
+        away = math.hypot(pose[0] - predicted.pose[0], pose[1] - predicted.pose[1])
+        limit = self._slip_limit_m(predicted)
+        if away <= limit or not self._is_calibrated(state):  # else the odometry may be wrong throughout
+            return self.slip_inlier_gain
+        return self.slip_inlier_gain * math.log1p((_SLIP_SIGMAS * away / limit) ** 2) / math.log1p(_SLIP_SIGMAS**2)
+
+    def _slip_limit_m(self, predicted: Prediction) -> float:
+        return max(self.slip_m, _SLIP_SIGMAS * predicted.sigma_m)
+
+    def _is_calibrated(self, state: TrackerState) -> bool:
+        return self.calibration is not None and self.calibration.is_known(state.odometry_errors)
 
     def _merge_lasers(self, state: TrackerState, pose: Pose, predicted: Prediction, beams: Beams) -> BeamEnds:
         """The scan, taken at about `pose`, with those of the other lasers."""
@@ -261,26 +291,27 @@ class Tracker:
 
     def _match_from_odometry(self, state: TrackerState, predicted: Prediction, beams: BeamEnds) -> PoseEstimate:
         """Match from a prediction by odometry; where a match is implausible, only its heading is taken."""
-        known = self.calibration is not None and self.calibration.is_known(state.odometry_errors)
+        known = self._is_calibrated(state)
         matcher = self._calibrated_matcher if known else self.matcher
-        match = matcher.match_pose(state.maps, state.matched_map, predicted.pose, predicted.prior, beams)
+        is_sparse = self.search.is_sparse(state)
+        prior = predicted.calibrated_prior if known and not is_sparse else predicted.prior
+        match = matcher.match_pose(state.maps, state.matched_map, predicted.pose, prior, beams)
         pose = match.pose
-        score = match.score
         count = len(beams)
-        if score < self.min_inlier_ratio * count:
+        ratio = match.score / count
+        if ratio < self.min_inlier_ratio and not is_sparse:
+            # much of what is seen may be new: after a wide turn, or of a narrow laser
+            of_known = known_inlier_ratio(state, match, beams, matcher)
+            ratio = of_known if of_known >= self.search_inlier_ratio else ratio
+        if ratio < self.min_inlier_ratio:
             return PoseEstimate(predicted.pose, predicted, matched=True, lost=True)
         stayed = (predicted.pose[0], predicted.pose[1], pose[2])
-        away = math.hypot(pose[0] - predicted.pose[0], pose[1] - predicted.pose[1])
-        limit = max(self.slip_m, _SLIP_SIGMAS * predicted.sigma_m)
-        if away > limit:
-            gain = score - _score(state, stayed, beams)
-            needed = self.slip_inlier_gain * count
-            if known:  # else the odometry may be wrong throughout
-                needed *= math.log1p((_SLIP_SIGMAS * away / limit) ** 2) / math.log1p(_SLIP_SIGMAS**2)
-            pose = pose if gain > needed else stayed
+        if math.hypot(pose[0] - predicted.pose[0], pose[1] - predicted.pose[1]) > self._slip_limit_m(predicted):
+            gain = (match.score - _score(state, stayed, beams)) / count
+            pose = pose if gain > self._required_gain(state, predicted, pose) else stayed
         direction = match.degenerate_direction(matcher.min_information)
         determined = direction is None and pose is not stayed and (known or self._is_determined(match))
-        return PoseEstimate(pose, predicted, True, False, score / count, determined, direction)
+        return PoseEstimate(pose, predicted, True, False, ratio, determined, direction)
 
     def _match_from_velocity(self, state: TrackerState, predicted: Prediction, beams: BeamEnds) -> PoseEstimate:
         """Match from a prediction by the velocity; where few beams agree, search all around it."""
