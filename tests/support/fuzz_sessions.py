@@ -28,8 +28,6 @@ from gridslam.io.sessions.archive_file import read_sealed_arrays, write_sealed_a
 from gridslam.io.sessions.drives import DrivenLog
 from gridslam.io.sessions.session_file import SESSION_SCHEMA, SavedRun, SavedSession, write_session
 from gridslam.sim import LidarConfig, OdometryNoise, RobotConfig, SimulatedLog, make_world, simulate
-from gridslam.slam.loop_closure.constraints import Constraint, ConstraintSource
-from gridslam.slam.loop_closure.graph_edits import GraphEdit
 from support.loops import PROVOKED, loop_drive
 
 _MEMORY_BYTES = 1 << 30
@@ -235,13 +233,8 @@ def _make_sessions(folder: Path) -> dict[str, _Arrays]:
     joined = session.add(folder / "second.csv", pose=between(log.truth.poses[0], log.truth.poses[100]), repair="none")
     assert joined.found_again is not None
     session.save(folder / "joined.gridslam")
-    edits = (
-        GraphEdit((0, 9)),
-        GraphEdit((1, 8), Constraint(1, 8, np.zeros(3), np.eye(3), ConstraintSource.BY_HAND, True)),
-    )
-    write_session(folder / "edited.gridslam", replace(session.saved, edits=edits))
     _save_while_closing(folder, loop_drive())
-    names = ("joined", "edited", "pending", "correction")
+    names = ("joined", "pending", "correction")
     return {name: read_sealed_arrays(folder / f"{name}.gridslam", SESSION_SCHEMA, "a session") for name in names}
 
 

@@ -238,7 +238,6 @@ def view(
     beside: Path | None = None,
     *,
     edit: bool = False,
-    edit_graph: bool = False,
     floor: str | None = None,
 ) -> None:
     """Show a finished run, or a map of a session, in the browser until interrupted, which is how it ends well."""
@@ -255,15 +254,13 @@ def view(
     speed = 10.0 if live.speed is None else live.speed
     edits: EditsFile | None
     if out.suffix == ".gridslam":
-        if edit_graph:
-            raise click.UsageError("--edit-graph needs a folder OUT, not a session")
         shown, edits = _open_session_map(out, floor, edit=edit)
         replay = Replay(out, beside, speed, edit, shown=shown)
     else:
         if floor is not None:
             raise click.UsageError("--floor needs a session, NAME.gridslam")
         edits = EditsFile.of_folder(out) if edit else None
-        replay = Replay(out, beside, speed, edit, edits_graph=edit_graph)
+        replay = Replay(out, beside, speed, edit)
     with serve_page(PageServer(replay, live, edits=edits if edit else None)) as page:
         if replay.results.missing:
             warn(f"{out}: {replay.results.missing}")

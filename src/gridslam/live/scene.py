@@ -87,8 +87,6 @@ class Scene(NamedTuple):
         Another map to compare with.
     messages : sequence of dict
         What was reported so far (`gridslam.messages.Messages.to_list`).
-    older : (K, 2) float32, m
-        End points of a scan, map frame, that the current one is laid on.
     """
 
     run_info: dict[str, Any]
@@ -103,7 +101,6 @@ class Scene(NamedTuple):
     truth: Float32Array = NO_POINTS
     other: TileReplica | None = None
     messages: Sequence[Mapping[str, Any]] = ()
-    older: Float32Array = NO_POINTS
 
 
 def make_run_info(
@@ -175,7 +172,6 @@ class SentState:
             {"particles": scene.frame.particles},
             {"closures": scene.frame.closures},
             {"scan": scene.scan},
-            {"older": scene.older},
             {"plan": scene.plan},
             {"landmarks": scene.landmarks},
             {"truth": scene.truth},

@@ -21,11 +21,6 @@ from gridslam.cli.options import evaluate_options, host_options, json_option
 @click.option(
     "--edit", is_flag=True, help="Let the page edit the map: OUT/edits.geojson, NAME.edits.geojson of a session."
 )
-@click.option(
-    "--edit-graph",
-    is_flag=True,
-    help="Show the pose graph in OUT and let viewers edit it: saved in OUT's session.",
-)
 @click.option("--floor", metavar="NAME", help="Of a session: the map that is shown.  [default: the newest drive's]")
 @host_options
 def view_command(**options: Any) -> None:  # noqa: ANN401

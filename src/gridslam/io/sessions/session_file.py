@@ -33,7 +33,6 @@ from gridslam.observers import StatisticsRecorder, TrajectoryRecorder
 from gridslam.serialization import read_array, select_part
 from gridslam.slam.full_slam.full_trajectory import TrackedScans
 from gridslam.slam.grid_fastslam.state import GridFastSlamState
-from gridslam.slam.loop_closure.graph_edits import GraphEdit, dump_edits, edit_graph, load_edits
 from gridslam.slam.loop_closure.map_piece import MapPiece
 from gridslam.slam.loop_closure.scan_archive import ScanArchive
 from gridslam.types import IntArray
@@ -116,8 +115,6 @@ class SavedSession:
         Date and time in UTC, ISO 8601.
     version : str
         Version of gridslam that wrote it.
-    edits : tuple of GraphEdit
-        Edits of the newest piece's graph by hand, which are made when it is read.
     """
 
     configuration: Configuration
@@ -126,7 +123,6 @@ class SavedSession:
     pieces: tuple[SavedPiece, ...] = ()
     written: str = ""
     version: str = __version__
-    edits: tuple[GraphEdit, ...] = ()
 
     @property
     def newest(self) -> MapPiece | None:
@@ -166,7 +162,6 @@ class SavedSession:
             "seed": self.seed,
             "configuration": dumps(self.configuration),
             "job": "",  # unused; readers of this schema expect it
-            **({"edits": dump_edits(self.edits)} if self.edits else {}),
             "pieces": [[_describe(drive) for drive in piece.drives] for piece in self.pieces],
             "run": None,
         }
@@ -212,7 +207,7 @@ def write_session(path: str | Path, session: SavedSession) -> None:
     write_sealed_arrays(path, session.dump())
 
 
-def read_session(path: str | Path, threads: int = 1, *, makes_edits: bool = True) -> SavedSession:
+def read_session(path: str | Path, threads: int = 1) -> SavedSession:
     """Read a session; continuing it gives the same results as a run without interruption.
 
     Parameters
@@ -221,8 +216,6 @@ def read_session(path: str | Path, threads: int = 1, *, makes_edits: bool = True
         What `write_session` wrote, in this version or an earlier one.
     threads : int
         Threads of the kernels; never changes a result.
-    makes_edits : bool
-        Whether the edits by hand are made: its graph is solved with them, and the filter continues there.
 
     Raises
     ------
@@ -240,7 +233,7 @@ def read_session(path: str | Path, threads: int = 1, *, makes_edits: bool = True
         run = None
         if head["run"] is not None:
             run = _load_run(select_part(arrays, "run"), head["run"], configuration, threads)
-        saved = SavedSession(
+        return SavedSession(
             configuration,
             seed=int(head["seed"]),
             run=run,
@@ -248,21 +241,6 @@ def read_session(path: str | Path, threads: int = 1, *, makes_edits: bool = True
             written=str(head["written"]),
             version=str(head["version"]),
         )
-        newest = saved.newest
-        saved = replace(saved, edits=load_edits(head.get("edits", []), 0 if newest is None else len(newest)))
-        return _make_edits(saved, threads) if makes_edits else saved
-
-
-def _make_edits(saved: SavedSession, threads: int) -> SavedSession:
-    """Make the edits of a session that was just read."""
-    newest, closure = saved.newest, saved.configuration.loop_closure
-    if not saved.edits or newest is None or closure is None:
-        return saved
-    edit_graph(newest.graph, saved.edits)
-    state = None if saved.run is None else saved.run.state
-    if state is not None and state.closure_state is not None:
-        closure.follow(state, state.closure_state, saved.configuration.mapper, threads)
-    return replace(saved, edits=())
 
 
 def read_head(path: str | Path) -> SessionHead:

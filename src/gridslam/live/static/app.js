@@ -29,7 +29,7 @@ const weightBars = new WeightBars($("#weights"), selectParticle);
 const measure = drawing.measure = new Measure();
 const robotConsole = drawing.console = new Console(camera, (command) => connection.send(command), () => redraw());
 const editor = drawing.editor = new Editor(camera, () => redraw());
-const graph = new Graph(world, camera, (command) => connection.send(command), () => redraw());
+const graph = new Graph(world, camera, () => redraw());
 let colours = {}, redrawPending = false;
 
 function reset() {
@@ -37,7 +37,7 @@ function reset() {
   world.other.clear();
   Object.assign(world, {
     runInfo: {}, status: {}, path: NONE, selected: NONE, plan: NONE, tree: NONE, parents: NO_NUMBERS, leaves: NO_NUMBERS,
-    particles: NONE, scan: NONE, older: NONE, closures: NONE, landmarks: NONE, truth: NONE, series: NONE, steps: 0, chosen: null,
+    particles: NONE, scan: NONE, closures: NONE, landmarks: NONE, truth: NONE, series: NONE, steps: 0, chosen: null,
   });
 }
 
@@ -62,7 +62,7 @@ function receive({ header, arrays }) {
     world.series = splice(world.series, COLUMNS * header.series, arrays.series);
     world.steps = world.series.length / COLUMNS;
   }
-  for (const name of ["particles", "scan", "older", "closures", "plan", "landmarks", "truth"]) world[name] = arrays[name] ?? world[name];
+  for (const name of ["particles", "scan", "closures", "plan", "landmarks", "truth"]) world[name] = arrays[name] ?? world[name];
   if (arrays.tree) [world.tree, world.parents, world.leaves] = [arrays.tree, arrays.tree_parents, arrays.tree_leaves];
   panel.show(world);
   graph.show();
@@ -77,7 +77,6 @@ function setRunInfo(runInfo) {
   document.body.dataset.session = runInfo.session;
   panel.setRunInfo(runInfo);
   robotConsole.setRunInfo(runInfo);
-  graph.setRunInfo(runInfo);
   if (runInfo.layers.includes("edits")) editor.start();
   resize();
 }
@@ -265,6 +264,6 @@ new Keys([
   [["n"], "not turned", () => turn(0)],
   [["g"], "grid in metres", () => $("#layers input[name='grid']").click()],
   [["m"], "measure", () => toggleMeasure()],
-  [["Escape"], "the best particle again; end measuring", () => (graph.isPutting ? graph.toggle(false) : camera.takes ? robotConsole.toggle(false) : measure.active ? toggleMeasure() : connection.send({ do: "select", particle: null }))],
+  [["Escape"], "the best particle again; end measuring", () => (camera.takes ? robotConsole.toggle(false) : measure.active ? toggleMeasure() : connection.send({ do: "select", particle: null }))],
   [["?"], "this list", () => $("#help").showModal()],
 ], $("#help"));

@@ -53,10 +53,7 @@ export class Drawing {
     if (shown.path) this.path(context, colours);
     if (shown.closures) this.closures(context, colours);
     if (shown.landmarks) this.landmarks(context, colours.landmark);
-    if (shown.scan) {
-      this.points(context, world.older, [0, 0, 0], colours.particle);
-      this.scan(context, colours.scan);
-    }
+    if (shown.scan) this.scan(context, colours.scan);
     this.found(context, colours);
     this.robot(context, colours);
     if (shown.particles) this.particles(context, colours);
