@@ -65,7 +65,6 @@ from support import ros_bags
 from support.broken_logs import OF_BYTES, OF_TEXT, damage, drive_about, whole_logs
 from support.fuzz_images import MAP_YAML, images
 from support.fuzz_page import page_requests
-from support.fuzz_sessions import sessions
 from support.recorded import map_with_history
 
 CPU_LIMIT_S = 20  # of CPU time
@@ -198,7 +197,6 @@ def families(folder: Path) -> list[Family]:
     of_files = [family for maker in makers for family in maker(folder)]
     others = (
         *images(folder),
-        *sessions(folder),
         *page_requests(folder),
     )
     return [*of_files, *(Family(*family) for family in others)]
