@@ -33,7 +33,6 @@ from PIL import Image
 
 from gridslam.api.landmarks import map_landmarks
 from gridslam.api.mapping import map_log
-from gridslam.api.session_edits import EditsBefore
 from gridslam.cli import map as _map_command  # noqa: F401 imported before processes are forked
 from gridslam.cli.main import main
 from gridslam.config import Configuration, load, override, preset
@@ -60,7 +59,6 @@ from gridslam.plan.masks import make_keepout_mask, make_speed_mask
 from gridslam.plan.world import WorldOrigin, format_edits_in_degrees, turn_edits_to_metres
 from gridslam.slam.pose_graph.graph_slam import GraphSlam
 from gridslam.slam.pose_graph.pose_graph import PoseGraph
-from gridslam.types import Trajectory
 from support import ros_bags
 from support.broken_logs import OF_BYTES, OF_TEXT, damage, drive_about, whole_logs
 from support.fuzz_images import MAP_YAML, images
@@ -562,7 +560,7 @@ def _edits(folder: Path) -> Iterator[Family]:
     places = np.array([[0.2, -1.8], [1.2, -1.7], [1.1, -0.5], [0.1, -0.6]])
     points = {"Point": places[:1], "LineString": places[:2], "Polygon": places}
     drawn = tuple(
-        Edit(layer, kind, points[kind], "room", 0.2, {"limit_percent": 20.0}, np.array([1.0, 0.0, 0.0, 0.0]), "day")
+        Edit(layer, kind, points[kind], "room", 0.2, {"limit_percent": 20.0})
         for layer, kinds in LAYERS.items()
         for kind in kinds
     )
@@ -584,14 +582,12 @@ def _edits(folder: Path) -> Iterator[Family]:
         else:
             (to / "edits.geojson").write_text(json.dumps(exchange(json.loads(text), rng)))
 
-    driven = {"day": Trajectory(np.array([10**9]), np.array([[0.5, 0.5, 0.3]]))}
     world = WorldOrigin(48.0, 11.0)
 
     def read(where: Path) -> None:
         document = read_json(where / "edits.geojson")
         with suppress(InputError):
             parse_edits(turn_edits_to_metres(document | {"units": "degrees"}, world), where)
-        EditsBefore(where / "edits.geojson", ({"night": driven["day"]}, driven)).keep([driven])
         edits = read_edits(where / "edits.geojson")
         format_edits_in_degrees(edits, world)
         assert parse_edits(json.loads(edits.to_text()), where).to_text() == edits.to_text()

@@ -13,7 +13,7 @@ import numpy as np
 
 from gridslam.cli.options import name_option
 from gridslam.cli.output import warn
-from gridslam.errors import InputError, OutputError
+from gridslam.errors import OutputError
 from gridslam.live.options import LiveOptions
 from gridslam.messages import Level, Messages
 from gridslam.pipeline import describe_error, isolate
@@ -23,7 +23,6 @@ if TYPE_CHECKING:
     from gridslam.io.log import Log
     from gridslam.io.measurement import Measurement
     from gridslam.io.output import OutputFolder
-    from gridslam.live.edits import EditsFile
     from gridslam.live.history_recorder import HistoryRecorder
     from gridslam.live.page import LivePage
     from gridslam.live.results import StaticView
@@ -252,16 +251,14 @@ def view(
         open_page(address, live)
         return
     speed = 10.0 if live.speed is None else live.speed
-    edits: EditsFile | None
-    if out.suffix == ".gridslam":
-        shown, edits = _open_session_map(out, floor, edit=edit)
-        replay = Replay(out, beside, speed, edit, shown=shown)
-    else:
-        if floor is not None:
-            raise click.UsageError("--floor needs a session, NAME.gridslam")
-        edits = EditsFile.of_folder(out) if edit else None
-        replay = Replay(out, beside, speed, edit)
-    with serve_page(PageServer(replay, live, edits=edits if edit else None)) as page:
+    is_session = out.suffix == ".gridslam"
+    if is_session and edit:
+        raise click.UsageError("--edit needs a folder OUT (session FILE -o OUT writes its maps)")
+    if floor is not None and not is_session:
+        raise click.UsageError("--floor needs a session, NAME.gridslam")
+    edits = EditsFile(out, warn) if edit else None
+    replay = Replay(out, beside, speed, edit, shown=_open_session_map(out, floor) if is_session else None)
+    with serve_page(PageServer(replay, live, edits=edits)) as page:
         if replay.results.missing:
             warn(f"{out}: {replay.results.missing}")
         click.echo(f"{out}: open {page.url} (Ctrl-C ends)")
@@ -272,21 +269,12 @@ def view(
             click.echo("closed")
 
 
-def _open_session_map(path: Path, floor: str | None, *, edit: bool) -> tuple[StaticView, EditsFile]:
-    """Open a map of a session, the newest drive's unless a floor is named, and the edits beside the session.
-
-    Raises InputError where a map is to be edited that no drive has: edits follow the scans of drives.
-    """
+def _open_session_map(path: Path, floor: str | None) -> StaticView:
+    """Open a map of a session, the newest drive's unless a floor is named."""
     from gridslam.api.session import Session
-    from gridslam.api.session_edits import find_edits
-    from gridslam.live.edits import EditsFile
     from gridslam.live.results import StaticView
 
     session = Session.open(path)
     with name_option(floor="--floor"):
         number = session.find_map(floor)
-    of_map = session.edits_of(number)
-    if edit and not of_map.trajectories:
-        raise InputError(path, "expected a map of a drive, whose scans edits follow, to be edited, got the given map")
-    grid = session.maps[number].whole()
-    return StaticView(grid), EditsFile(find_edits(path), grid, of_map)
+    return StaticView(session.maps[number].whole())

@@ -503,7 +503,7 @@ class NodeCore:
         if saved is not None:
             is_in_file = mapped.continued is not None and mapped.continued.is_in_file
             path = self._goes_on or self.results_folder / "session.gridslam"  # where it is saved if somebody asks
-            self._continued = Continued(path, saved, Place.ELSEWHERE, is_in_file=is_in_file, edits=mapped.edits)
+            self._continued = Continued(path, saved, Place.ELSEWHERE, is_in_file=is_in_file)
 
     def _hand_over_session(self) -> None:
         """Give a copy of a session that ends without a reset to whoever saves it, unless the next one holds it."""
