@@ -27,7 +27,6 @@ from gridslam.api.mapping import map_log
 from gridslam.config import Configuration
 from gridslam.errors import InputError
 from gridslam.io.csv import write_csv_log
-from gridslam.live.control import RobotCommands, RobotControl
 from gridslam.live.options import LiveOptions
 from gridslam.live.page import LivePage
 from gridslam.live.replay import Replay
@@ -205,9 +204,7 @@ def _visit(out: Path, result: Any, where: Path) -> None:
 def _serve(content: str, out: Path, result: Any) -> PageServer | LivePage:
     if content == "replay":
         return PageServer(Replay(out), LiveOptions(port=0))
-    nothing = RobotCommands(lambda pose: None, lambda: None, lambda: None, *[lambda session: (True, "done")] * 5)
-    robot = RobotControl(lambda: False, lambda paused: None, nothing) if content == "robot" else None
-    page = LivePage("drive", LiveOptions(port=0), robot=robot)
+    page = LivePage("drive", LiveOptions(port=0), is_robot=content == "robot")
     page._run.finish(result.map, result.graph.poses, np.zeros((0, 4)))
     return page
 

@@ -176,30 +176,9 @@ def serve_page(page: AbstractContextManager[_Page]) -> Iterator[_Page]:
 @contextmanager
 def node_page(live: LiveOptions, title: str, core: NodeCore, known: OccupancyGrid | None) -> Iterator[None]:
     """Serve the page of a node that is not started yet, until it has ended."""
-    from gridslam.live.control import NO_COMMANDS, RobotCommands, RobotControl
     from gridslam.live.page import LivePage
-    from gridslam.ros.node.session_services import SessionServices
 
-    commands = NO_COMMANDS
-    if live.controls and core.localizes:
-        commands = RobotCommands(set_pose=core.set_pose, locate=core.reset)
-    elif live.controls:
-        folder = core.results_folder
-        services = SessionServices(core, folder, core.messages.report)
-
-        def on_session(serve: Callable[[str], str]) -> Callable[[str], tuple[bool, str]]:
-            return lambda name: services.answer(serve, str(folder / name) if name else "")
-
-        commands = RobotCommands(
-            reset=core.reset,
-            save=lambda name: services.answer(services.save),
-            serialize=on_session(services.serialize),
-            go_on=on_session(services.deserialize),
-            merge=on_session(services.merge),
-            localize=lambda name: services.answer(services.switch),
-        )
-    robot = RobotControl(lambda: core.is_paused, core.pause, commands)
-    page = LivePage(title, live, range_max_m=core.configuration.range_max_m, known=known, robot=robot)
+    page = LivePage(title, live, range_max_m=core.configuration.range_max_m, known=known, is_robot=True)
     with serve_page(page):
 
         def on_diagnostics(diagnostics: Diagnostics) -> None:

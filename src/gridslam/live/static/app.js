@@ -2,7 +2,6 @@
 
 import { Camera } from "./camera.js";
 import { Chart, COLUMNS, WeightBars } from "./chart.js";
-import { Console } from "./console.js";
 import { Drawing } from "./drawing.js";
 import { Editor } from "./edit.js";
 import { Graph } from "./graph.js";
@@ -27,7 +26,6 @@ const charts = [
 ];
 const weightBars = new WeightBars($("#weights"), selectParticle);
 const measure = drawing.measure = new Measure();
-const robotConsole = drawing.console = new Console(camera, (command) => connection.send(command), () => redraw());
 const editor = drawing.editor = new Editor(camera, () => redraw());
 const graph = new Graph(world, camera, () => redraw());
 let colours = {}, redrawPending = false;
@@ -76,7 +74,6 @@ function setRunInfo(runInfo) {
   if (runInfo.other) world.other.place(runInfo.other.resolution_m, runInfo.other.offset_m);
   document.body.dataset.session = runInfo.session;
   panel.setRunInfo(runInfo);
-  robotConsole.setRunInfo(runInfo);
   if (runInfo.layers.includes("edits")) editor.start();
   resize();
 }
@@ -264,6 +261,6 @@ new Keys([
   [["n"], "not turned", () => turn(0)],
   [["g"], "grid in metres", () => $("#layers input[name='grid']").click()],
   [["m"], "measure", () => toggleMeasure()],
-  [["Escape"], "the best particle again; end measuring", () => (camera.takes ? robotConsole.toggle(false) : measure.active ? toggleMeasure() : connection.send({ do: "select", particle: null }))],
+  [["Escape"], "the best particle again; end measuring", () => (measure.active ? toggleMeasure() : connection.send({ do: "select", particle: null }))],
   [["?"], "this list", () => $("#help").showModal()],
 ], $("#help"));

@@ -57,7 +57,7 @@ export class Drawing {
     this.found(context, colours);
     this.robot(context, colours);
     if (shown.particles) this.particles(context, colours);
-    for (const tool of [this.measure, this.console, this.editor]) tool?.draw(context, camera, colours);
+    for (const tool of [this.measure, this.editor]) tool?.draw(context, camera, colours);
   }
 
   // Draws both maps, from a copy where neither has changed, as while edits are dragged.

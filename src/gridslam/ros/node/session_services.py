@@ -201,10 +201,6 @@ class SessionServices:
         self._core.ask(lambda: self._core.begin_session(continued))
         return f"going on from {joined.resolve()}: what was mapped, joined with {other.resolve()}"
 
-    def switch(self) -> str:
-        """Switch between localizing in the map so far and mapping; see `localize`."""
-        return self.localize(not self._core.localizes)
-
     def save_map(self, name: str = "") -> str:
         """Write the map as it is to NAME.yaml and NAME.pgm. Raises GridslamError where there is none."""
         path = Path(name).expanduser() if name else self._folder / "map"
