@@ -177,7 +177,7 @@ def test_maps_of_a_session_are_shown_and_not_edited(call, floors, tmp_path):
     for name in ("upper", "ground", "given"):
         shown = _open_session_map(tmp_path / "known.gridslam", name)
         assert shown.grid.known.any()
-        assert Replay(tmp_path / "known.gridslam", None, 10.0, shown=shown).run_info["mode"] == "still"
+        assert Replay(tmp_path / "known.gridslam", shown=shown).run_info["mode"] == "still"
     status, _, err = call("view", floors, "--edit")
     assert (status, "--edit needs a folder" in err) == (2, True)
 

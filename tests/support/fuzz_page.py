@@ -38,7 +38,7 @@ _PATIENCE_S = 0.15  # for an answer; most of what is malformed gets one at once
 _METHODS = "GET", "GET", "GET", "HEAD", "POST", "PUT", "OPTIONS", "DELETE", "TRACE", "CONNECT", "get", "G(T", "A" * 3000
 _VERSIONS = "HTTP/1.0", "HTTP/2.0", "HTTP/0.9", "HTTP/1.1 x", ""
 _PATHS = (
-    "/", "/socket", "/map.zip", "/trajectory.tum", "/session.gridslam", "/app.js", "/index.html", "", "*", "//", "/.",
+    "/", "/socket", "/map.zip", "/trajectory.tum", "/app.js", "/index.html", "", "*", "//", "/.",
     "/..", "/../page.py", "/%2e%2e/page.py", "/..%2fpage.py", "/..%5cpage.py", "/%252e%252e/page.py", "/%c0%ae%c0%ae/",
     "/%00", "/app.js%00.html", "/%", "/%zz", "/%ff%fe", "/%ed%a0%80", "/socket/", "/map.zip/", "/app.js/", "/~", "/[",
     "http://127.0.0.1/", "http://[/", "http://evil.example/app.js", "///etc/passwd", "/" + "a" * 300, "/" + "a/" * 3000

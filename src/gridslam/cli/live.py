@@ -85,11 +85,6 @@ class Viewers(NamedTuple):
         if self.page is not None:
             self.page.show_session(name, drives)
 
-    def offer_session(self, path: Path | None) -> None:
-        """Let viewers download the session file that a later run can continue, if there is one."""
-        if self.page is not None and path is not None:
-            self.page.offer_session(path)
-
     def show_result(self, result: MapResult) -> None:
         """Show the result of a run on the page."""
         loops = result.loop_summary
@@ -187,8 +182,6 @@ def node_page(live: LiveOptions, title: str, core: NodeCore, known: OccupancyGri
             mapped = core.mapped_session
             if mapped is not None and mapped.continued is not None:
                 page.show_session(mapped.continued.path.name, mapped.continued.names)
-            if core.session_file is not None and core.session_file.is_file():
-                page.offer_session(core.session_file)
 
         core.add_observer(page.observer, page.follow_session, on_diagnostics)
         announce(page.url, live)
@@ -213,7 +206,6 @@ def open_page(url: str, live: LiveOptions) -> None:
 def view(
     out: Path,
     live: LiveOptions,
-    beside: Path | None = None,
     *,
     edit: bool = False,
     floor: str | None = None,
@@ -236,7 +228,7 @@ def view(
     if floor is not None and not is_session:
         raise click.UsageError("--floor needs a session, NAME.gridslam")
     edits = EditsFile(out, warn) if edit else None
-    replay = Replay(out, beside, speed, edit, shown=_open_session_map(out, floor) if is_session else None)
+    replay = Replay(out, speed, edit, shown=_open_session_map(out, floor) if is_session else None)
     with serve_page(PageServer(replay, live, edits=edits)) as page:
         if replay.results.missing:
             warn(f"{out}: {replay.results.missing}")

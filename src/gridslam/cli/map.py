@@ -66,9 +66,7 @@ def map_to_folder(
             for warning in result.warnings():
                 report(f"{log}: {warning}")
             document = result.write(folder, viewers.messages.to_list())
-        if is_saved:
-            viewers.offer_session(session.save)
-        else:
+        if not is_saved:
             session = replace(session, save=None)
         summary = summarize(document, result, out)
         print_result(document, [*summary, *session.summarize(opened, result)], as_json)

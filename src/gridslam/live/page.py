@@ -126,10 +126,6 @@ class LivePage:
         """Show the final result: the map, poses (T, 3) of the key scans, and ends (C, 4) of the loop closures, m."""
         self._server.call(self._run.finish, grid, poses, closures)
 
-    def offer_session(self, path: Path) -> None:
-        """Let viewers download the session file that a later run can continue."""
-        self._server.call(self._run.offer_session, path)
-
     def show_session(self, name: str, drives: Sequence[str]) -> None:
         """Show the session that the run continues: the name of its file, and its drives."""
         self._server.call(self._run.show_session, name, drives)

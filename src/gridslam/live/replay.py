@@ -2,25 +2,23 @@
 
 from __future__ import annotations
 
-import os
 import time
 from collections.abc import Callable, Mapping
 from pathlib import Path
-from typing import IO, Any, final
+from typing import Any, final
 
 import numpy as np
 
 from gridslam.errors import ArgumentError
-from gridslam.io.text import open_for_reading, stay_below
+from gridslam.io.text import stay_below
 from gridslam.live.ancestry_tree import NO_POINTS
-from gridslam.live.beside import read_beside
 from gridslam.live.control import check_speed
-from gridslam.live.finished import count_key_scans, read_optional_history, read_results
+from gridslam.live.finished import count_key_scans, read_optional_history, read_results, read_truth
 from gridslam.live.history import History, PastMaps, PastReplica
 from gridslam.live.past import Past, PastReader
 from gridslam.live.results import MappedRun, StaticView
 from gridslam.live.scene import Scene, SentState, make_run_info
-from gridslam.live.tiles import TileReplica, tile_offset
+from gridslam.live.tiles import TileReplica
 from gridslam.messages import Level, Messages
 from gridslam.types import OccupancyGrid, Trajectory
 
@@ -33,9 +31,6 @@ class Replay:
     ----------
     folder : str or Path
         OUT of `gridslam map`, `localize`, `grid`, `landmarks`, `graph` or `merge`.
-    beside : str or Path, optional
-        What the run is compared with: another such folder, a map's YAML file or a trajectory's TUM file; by default
-        the truth, if the folder has it.
     speed : float, > 0
         Initial factor on real time.
     is_editable : bool
@@ -53,18 +48,17 @@ class Replay:
     def __init__(
         self,
         folder: str | Path,
-        beside: str | Path | None = None,
         speed: float = 10.0,
         is_editable: bool = False,
         *,
         shown: StaticView | None = None,
     ) -> None:
         """Read the folder."""
-        self._out = out = Path(folder)
+        out = Path(folder)
         with stay_below(out):
             results, title, self.messages = read_results(out) if shown is None else (shown, out.name, [])
             self.history = read_optional_history(out) if shown is None else None
-        sessions = _find_sessions(out) if shown is None else []
+            self.truth = read_truth(out, results.trajectory) if shown is None else NO_POINTS
         self.results = results
         if results.missing:
             messages = Messages(lambda level, text: None)
@@ -72,14 +66,7 @@ class Replay:
             self.messages = [*messages.to_list(), *self.messages]
         mode = "still" if isinstance(results, StaticView) else "replay"
         self.speed = speed
-        self.beside = read_beside(out, None if beside is None else Path(beside), results.trajectory)
-        self._session = sessions[0] if sessions else None
-        found = {
-            "other": self.beside.grid is not None,
-            "truth": len(self.beside.path) > 0,
-            "session": self._session is not None,
-            "edits": is_editable,
-        }
+        found = {"truth": len(self.truth) > 0, "edits": is_editable}
         if self.history is not None:
             found |= dict.fromkeys(("scan", "particles"), True)
         self.past_maps = PastMaps(self.history or History())
@@ -89,12 +76,6 @@ class Replay:
             *(name for name, is_found in found.items() if is_found and name not in results.layers),
         )
         self.run_info = make_run_info(title, mode, layers, results.step, results.grid)
-        self.run_info["truth"] = self.beside.name
-        self.other: TileReplica | None = None
-        if self.beside.grid is not None:
-            self.other = TileReplica.of(self.beside.grid)
-            grid = self.beside.grid
-            self.run_info["other"] = {"resolution_m": grid.resolution_m, "offset_m": tile_offset(grid)}
         self.replica = TileReplica() if self.results.grid is None else TileReplica.of(self.results.grid)
 
     def add_viewer(self, notify: Callable[[], None]) -> ReplayViewer:
@@ -108,21 +89,6 @@ class Replay:
     def trajectory(self, channel: int) -> Trajectory | None:
         """Return the trajectory, which all channels share."""
         return self.results.trajectory
-
-    def open_session(self) -> IO[bytes] | None:
-        """Open the newest session file of the folder; return None without one."""
-        if self._session is None:
-            return None
-        with stay_below(self._out):
-            return open_for_reading(self._out / self._session)
-
-
-def _find_sessions(folder: Path) -> list[str]:
-    """Return the names of the sessions in a folder, the newest first, without those that are links."""
-    with os.scandir(folder) as entries:
-        found = [(entry.stat(follow_symlinks=False).st_mtime, entry.name) for entry in entries if
-                 entry.name.endswith(".gridslam") and entry.is_file(follow_symlinks=False)]  # fmt: skip
-    return [name for _, name in sorted(found, reverse=True)]
 
 
 @final
@@ -239,7 +205,6 @@ class ReplayViewer:
             NO_POINTS if past is None else past.scan,
             plan=results.path,
             landmarks=results.landmarks,
-            truth=self._replay.beside.path,
-            other=self._replay.other,
+            truth=self._replay.truth,
             messages=self._replay.messages,
         )

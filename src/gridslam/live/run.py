@@ -5,14 +5,12 @@ from __future__ import annotations
 import math
 from collections import deque
 from collections.abc import Callable, Mapping, Sequence
-from pathlib import Path
-from typing import IO, Any, final
+from typing import Any, final
 
 import numpy as np
 
 from gridslam.errors import ArgumentError
 from gridslam.geometry.angles import wrap
-from gridslam.io.text import open_for_reading
 from gridslam.live.ancestry_tree import NO_POINTS, Float32Array
 from gridslam.live.control import Control, check_particle, check_speed
 from gridslam.live.history import History, PastMaps
@@ -70,7 +68,6 @@ class LiveRun:
         self._messages: Sequence[Mapping[str, Any]] = ()
         self.is_robot = is_robot
         self._state: tuple[str, str] | None = None  # of a node: name and text
-        self._session: Path | None = None
         self._goes_on: dict[str, Any] | None = None
         self._past: tuple[History, PastMaps] | None = None
         self.replay: Replay | None = None
@@ -83,7 +80,6 @@ class LiveRun:
             self._run_info = make_run_info(self._title, mode, _LIVE_SLAM)
         else:
             self._run_info = make_run_info(self._title, mode, _LIVE_LOCALIZATION, "update", self._known)
-        self._run_info = self._add_session(self._run_info)
         self._replicas = {BEST: TileReplica() if self._known is None else TileReplica.of(self._known)}
         self._rows = {BEST: 0}
         self._stage = "waiting"
@@ -178,29 +174,12 @@ class LiveRun:
         known = np.isfinite(poses[: len(stamps_ns), 0])
         return Trajectory(stamps_ns[known], poses[: len(stamps_ns)][known]) if known.any() else None
 
-    def open_session(self) -> IO[bytes] | None:
-        """Open the session file that a later run can continue; return None if this one offers none."""
-        if self._session is not None:
-            return open_for_reading(self._session)
-        return None if self.replay is None else self.replay.open_session()
-
-    def offer_session(self, path: Path) -> None:
-        """Let viewers download the session file that a later run can continue."""
-        if self._session != path:
-            self._session = path
-            self._run_info = self._add_session(self._run_info)
-            self.notify_viewers()
-
     def show_session(self, name: str, drives: Sequence[str]) -> None:
         """Show the session that the run continues: the name of its file, and its drives."""
         goes_on = {"name": name, "drives": list(drives)}
         if goes_on != self._goes_on:
             self._goes_on = goes_on
             self.notify_viewers()
-
-    def _add_session(self, run_info: dict[str, Any]) -> dict[str, Any]:
-        """Add the session to the downloads, if it is offered."""
-        return run_info if self._session is None else {**run_info, "layers": (*run_info["layers"], "session")}
 
     def open_channel(self, particle: int) -> int:
         """Open a channel for the map of a particle; raises ArgumentError if there is none, or too many are open."""

@@ -249,17 +249,16 @@ LARGE_MAP = """
           async ([{ Editor }, { Camera }, { TileMap, palette }, { Drawing }]) => {
           const canvas = document.createElement("canvas");
           [canvas.width, canvas.height] = [1400, 900];
-          const camera = new Camera(canvas), map = new TileMap(), none = new Float32Array(0), other = new TileMap();
+          const camera = new Camera(canvas), map = new TileMap(), none = new Float32Array(0);
           Object.defineProperties(camera, { width: { value: 1400 }, height: { value: 900 } });
           map.colour(palette("#ccc", "#fff", "#000"));
-          other.colour(palette("#ccc", "#fff", "#000"));
           const tile = new Uint8Array(512).map((_, k) => (k % 16 ? 0x11 : 0xff)), at = [];
           for (let row = 0; row < 157; row++) for (let column = 0; column < 313; column++) at.push(row, column);
           const data = new Uint8Array(256 * at.length);
           for (let k = 0; k < data.length; k += 512) data.set(tile, k);
           map.put(at, data);
           const parts = ["truth", "path", "particles", "closures", "landmarks", "scan", "tree"];
-          const world = { map, other, status: {}, ...Object.fromEntries(parts.map((part) => [part, none])) };
+          const world = { map, status: {}, ...Object.fromEntries(parts.map((part) => [part, none])) };
           const drawing = new Drawing(canvas, world, camera);
           for (const name of Object.keys(drawing.shown)) drawing.shown[name] = name === "map";
           const editor = (drawing.editor = new Editor(camera, () => {}));

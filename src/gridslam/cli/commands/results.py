@@ -12,12 +12,6 @@ from gridslam.cli.options import evaluate_options, host_options, json_option
 
 @click.command("view")
 @click.argument("out", type=PATH)
-@click.option(
-    "--beside",
-    type=PATH,
-    metavar="PATH",
-    help="Compare with another OUT, map.yaml or trajectory.tum.  [default: OUT/truth.tum, if there is one]",
-)
 @click.option("--edit", is_flag=True, help="Let the page edit the map: OUT/edits.geojson.")
 @click.option("--floor", metavar="NAME", help="Of a session: the map that is shown.  [default: the newest drive's]")
 @host_options

@@ -8,7 +8,7 @@ import { Graph } from "./graph.js";
 import { Panel } from "./panel.js";
 import { Connection } from "./socket.js";
 import { Keys } from "./keys.js";
-import { outline, palette, TileMap } from "./tilemap.js";
+import { palette, TileMap } from "./tilemap.js";
 import { inMetres, Measure, roundLength } from "./tools.js";
 
 const $ = (selector) => document.querySelector(selector);
@@ -16,7 +16,7 @@ const NONE = new Float32Array(), NO_NUMBERS = new Int32Array();
 
 const MOVE = 80; // px that an arrow key moves the map
 
-const world = { map: new TileMap(), other: new TileMap() };
+const world = { map: new TileMap() };
 const camera = new Camera($("#map"));
 const drawing = new Drawing($("#map"), world, camera);
 const panel = new Panel((command) => connection.send(command));
@@ -32,7 +32,6 @@ let colours = {}, redrawPending = false;
 
 function reset() {
   world.map.clear();
-  world.other.clear();
   Object.assign(world, {
     runInfo: {}, status: {}, path: NONE, selected: NONE, plan: NONE, tree: NONE, parents: NO_NUMBERS, leaves: NO_NUMBERS,
     particles: NONE, scan: NONE, closures: NONE, landmarks: NONE, truth: NONE, series: NONE, steps: 0, chosen: null,
@@ -54,7 +53,6 @@ function receive({ header, arrays }) {
   if (header.messages) panel.messages.show(header.messages);
   if (header.clear) world.map.clear();
   if (arrays.tiles) world.map.put(arrays.tiles_at, arrays.tiles);
-  if (arrays.other_tiles) world.other.put(arrays.other_tiles_at, arrays.other_tiles);
   for (const name of ["path", "selected"]) if (arrays[name]) world[name] = splice(world[name], 2 * header[name], arrays[name]);
   if (arrays.series) {
     world.series = splice(world.series, COLUMNS * header.series, arrays.series);
@@ -71,7 +69,6 @@ function receive({ header, arrays }) {
 function setRunInfo(runInfo) {
   world.runInfo = runInfo;
   world.map.place(runInfo.resolution_m ?? 0.05, runInfo.offset_m);
-  if (runInfo.other) world.other.place(runInfo.other.resolution_m, runInfo.other.offset_m);
   document.body.dataset.session = runInfo.session;
   panel.setRunInfo(runInfo);
   if (runInfo.layers.includes("edits")) editor.start();
@@ -164,11 +161,10 @@ function resize() {
 
 function applyColours() {
   const style = getComputedStyle(document.documentElement);
-  for (const name of ["unknown", "free", "occupied", "text", "faint", "rule", "path", "ancestry", "particle", "selected", "scan", "closure", "landmark", "truth", "other", "good", "bad"]) {
+  for (const name of ["unknown", "free", "occupied", "text", "faint", "rule", "path", "ancestry", "particle", "selected", "scan", "closure", "landmark", "truth", "good", "bad"]) {
     colours[name] = style.getPropertyValue(`--${name}`).trim();
   }
   world.map.colour(palette(colours.unknown, colours.free, colours.occupied));
-  world.other.colour(outline(colours.other));
   redraw();
 }
 
@@ -232,17 +228,14 @@ $("#follow").onclick = () => setMode(camera.mode === "follow" ? "free" : "follow
 $("#save-picture").onclick = savePicture;
 $("#save-map").onclick = () => saveFile("map.zip", "-map.zip");
 $("#save-trajectory").onclick = () => saveFile("trajectory.tum", "-trajectory.tum");
-$("#save-session").onclick = () => saveFile("session.gridslam", ".gridslam");
 $("#measure").onclick = toggleMeasure;
 $("#help-button").onclick = () => $("#help").showModal();
 $("#turn").oninput = ({ target }) => turn((target.value * Math.PI) / 180);
-for (const [id, name] of [["#opacity", "map"], ["#other-opacity", "other"]]) {
-  $(id).oninput = ({ target }) => {
-    drawing.opacity[name] = target.value / 100;
-    $(`${id} + output`).textContent = `${target.value} %`;
-    redraw();
-  };
-}
+$("#opacity").oninput = ({ target }) => {
+  drawing.opacity = target.value / 100;
+  $("#opacity + output").textContent = `${target.value} %`;
+  redraw();
+};
 $("#layers").onchange = ({ target }) => { drawing.shown[target.name] = target.checked; redraw(); };
 addEventListener("resize", resize);
 matchMedia("(prefers-color-scheme: dark)").addEventListener("change", applyColours);

@@ -50,7 +50,6 @@ export class Panel {
     $("#title").textContent = runInfo.title;
     const replay = this.mode === "replay", unlimited = $("#speed option[value='']");
     for (const part of document.querySelectorAll("[data-layer]")) part.hidden = !runInfo.layers.includes(part.dataset.layer);
-    $("#truth-name").textContent = runInfo.truth ?? "truth";
     $("#latency-of").textContent = `Time per ${runInfo.step}`;
     document.body.dataset.mode = runInfo.mode; // the style sheet hides the controls that do not apply
     if (!replay && !unlimited) $("#speed").add(new Option("max", ""));

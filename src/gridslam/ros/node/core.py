@@ -81,8 +81,6 @@ class NodeCore:
     ----------
     results_folder : Path
         Where people who ask for it save the results while the node runs.
-    session_file : Path or None
-        Where the session is saved now and then while the node runs; there is no file before the first time.
     messages : Messages
         What was reported so far.
     failure : BaseException or None
@@ -145,7 +143,6 @@ class NodeCore:
             ("diagnostics", _DIAGNOSTICS_S, self._publish_diagnostics),
             ("map", settings.map_update_interval_s, lambda: self._queue.post(self._publish_map)),
         ]
-        self.session_file = None if files is None else files.autosave
         self._autosave: LiveAutosave | None = None
         if files is not None and files.autosave is not None:
             self._autosave = LiveAutosave(files, self.messages.report)
