@@ -155,26 +155,3 @@ def test_a_room_whose_ends_are_alike_is_no_error(tmp_path, capsys):
     assert "the map is ambiguous" in said
     scans = json.loads(text)["scans"]
     assert scans["lost"] == scans["read"]
-
-
-def test_the_floor_is_reported_where_the_maps_differ(place, tmp_path, capsys):
-    own, upper, alike = place / "flat.yaml", tmp_path / "upper.yaml", tmp_path / "alike.yaml"
-    flat = flat_map()
-    write_map(upper, OccupancyGrid(flat.log_odds[:, ::-1].copy(), flat.known, flat.resolution_m, flat.origin))
-    write_map(alike, flat)
-    status, text, _ = run(
-        capsys, place / "flat.clf", "--map", upper, "--other-map", own, "--duration", 15, "-o", tmp_path / "out"
-    )
-    assert status == 0
-    assert f"floor: {own}; localized in" in text
-    document = json.loads((tmp_path / "out" / "run.json").read_text())
-    assert document["floor"] == document["input"]["map"] == str(own)
-    assert document["floors"][str(own)] > 0.5 > 2 * document["floors"][str(upper)]
-    status, text, _ = run(capsys, place / "flat.clf", "--map", own, "--other-map", alike, "--duration", 15)
-    assert status == 0
-    assert "floor: unknown, as the maps do not differ enough" in text
-    status, text, err = run(capsys, place / "flat.clf", "--map", own, "--other-map", place / "flat.pgm")
-    assert (status, text, err.count("\n")) == (2, "", 1)
-    status, text, err = run(capsys, place / "hall.clf", "--map", own, "--other-map", upper, "--duration", 20)
-    assert (status, text) == (2, "")
-    assert "does not fit" in err

@@ -23,7 +23,6 @@ from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import redirect_stderr, redirect_stdout, suppress
 from dataclasses import dataclass
-from functools import partial
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any, NamedTuple
@@ -33,7 +32,6 @@ from PIL import Image
 
 from gridslam.api.landmarks import map_landmarks
 from gridslam.api.mapping import map_log
-from gridslam.api.session_edits import EditsBefore
 from gridslam.cli import map as _map_command  # noqa: F401 imported before processes are forked
 from gridslam.cli.main import main
 from gridslam.config import Configuration, load, override, preset
@@ -60,12 +58,10 @@ from gridslam.plan.masks import make_keepout_mask, make_speed_mask
 from gridslam.plan.world import WorldOrigin, format_edits_in_degrees, turn_edits_to_metres
 from gridslam.slam.pose_graph.graph_slam import GraphSlam
 from gridslam.slam.pose_graph.pose_graph import PoseGraph
-from gridslam.types import Trajectory
 from support import ros_bags
 from support.broken_logs import OF_BYTES, OF_TEXT, damage, drive_about, whole_logs
 from support.fuzz_images import MAP_YAML, images
 from support.fuzz_page import page_requests
-from support.fuzz_sessions import sessions
 from support.recorded import map_with_history
 
 CPU_LIMIT_S = 20  # of CPU time
@@ -198,7 +194,6 @@ def families(folder: Path) -> list[Family]:
     of_files = [family for maker in makers for family in maker(folder)]
     others = (
         *images(folder),
-        *sessions(folder),
         *page_requests(folder),
     )
     return [*of_files, *(Family(*family) for family in others)]
@@ -378,11 +373,6 @@ def _tables(folder: Path) -> Iterator[Family]:
         f"{1700000000000000000 + 10**8 * k},{x:.6f},{y:.6f},0,{math.cos(t / 2):.9f},0,0,{math.sin(t / 2):.9f},0.1"
         for k, (x, y, t) in enumerate(poses.tolist())
     ]
-    turns = [(math.cos(t), math.sin(t)) for t in poses[:, 2].tolist()]
-    kitti = [
-        f"{c:.9f} {-s:.9f} 0 {x:.6f} {s:.9f} {c:.9f} 0 {y:.6f} 0 0 1 0"
-        for (c, s), (x, y) in zip(turns, poses[:, :2].tolist(), strict=True)
-    ]
     relations = [f"{k}.5 {k + 1}.5 0.5 0.1 0 0 0 0.2" for k in range(20)]
     parameters = (
         "amcl:\n  ros__parameters:\n    max_particles: 2000\n    laser_model_type: likelihood_field\n"
@@ -390,26 +380,11 @@ def _tables(folder: Path) -> Iterator[Family]:
     )
     configuration = "particles = 10\n\n[motion]\nkind = 'DiffusionMotion'\n\n[tracker]\nmap_scans = 30\n"
     packed = [(gzip.compress, ".gz"), (bz2.compress, ".bz2")]
-    beams = [(scan, angle, 1000 + 10 * angle) for scan in range(3) for angle in range(0, 360, 9)]
-    named = [f"{'S ' * (not angle)} theta: {angle:.2f} Dist: {distance:08.2f} Q: 47" for _, angle, distance in beams]
-    echoed = [f"{k},{k},laser,0,1.9,0.1,0,0.1,0.1,12,{','.join(['1.5'] * 20)}" for k in range(9)]
-    numbered = ["scan_id,angle (°),dist_mm", *(f"{scan},{angle},{distance}" for scan, angle, distance in beams)]
-    points = ["t; angle [deg]; dist [mm]", *(f"{scan},5; {angle}; {distance}" for scan, angle, distance in beams)]
-
-    def read_scans(path: Path) -> None:
-        for _ in open_log(path):
-            pass
-
     for name, lines, read in (
         ("a.tum", rows, read_tum),
         ("a.euroc", euroc, read_trajectory),
-        ("a.kitti", kitti, partial(read_trajectory, stamps_ns=np.arange(30))),
         ("a.csv", [header, *table], read_trajectory_csv),
         ("a.relations", relations, read_relations),
-        ("a.named", named, read_scans),
-        ("a.points", points, read_scans),
-        ("a.numbered", numbered, read_scans),
-        ("a.echoed", echoed, read_scans),
         ("a.yaml", [parameters], read_parameter_file),
         ("a.toml", [configuration], load),
     ):
@@ -564,7 +539,7 @@ def _edits(folder: Path) -> Iterator[Family]:
     places = np.array([[0.2, -1.8], [1.2, -1.7], [1.1, -0.5], [0.1, -0.6]])
     points = {"Point": places[:1], "LineString": places[:2], "Polygon": places}
     drawn = tuple(
-        Edit(layer, kind, points[kind], "room", 0.2, {"limit_percent": 20.0}, np.array([1.0, 0.0, 0.0, 0.0]), "day")
+        Edit(layer, kind, points[kind], "room", 0.2, {"limit_percent": 20.0})
         for layer, kinds in LAYERS.items()
         for kind in kinds
     )
@@ -586,14 +561,12 @@ def _edits(folder: Path) -> Iterator[Family]:
         else:
             (to / "edits.geojson").write_text(json.dumps(exchange(json.loads(text), rng)))
 
-    driven = {"day": Trajectory(np.array([10**9]), np.array([[0.5, 0.5, 0.3]]))}
     world = WorldOrigin(48.0, 11.0)
 
     def read(where: Path) -> None:
         document = read_json(where / "edits.geojson")
         with suppress(InputError):
             parse_edits(turn_edits_to_metres(document | {"units": "degrees"}, world), where)
-        EditsBefore(where / "edits.geojson", ({"night": driven["day"]}, driven)).keep([driven])
         edits = read_edits(where / "edits.geojson")
         format_edits_in_degrees(edits, world)
         assert parse_edits(json.loads(edits.to_text()), where).to_text() == edits.to_text()

@@ -27,7 +27,6 @@ from gridslam.api.mapping import map_log
 from gridslam.config import Configuration
 from gridslam.errors import InputError
 from gridslam.io.csv import write_csv_log
-from gridslam.live.control import RobotCommands, RobotControl
 from gridslam.live.options import LiveOptions
 from gridslam.live.page import LivePage
 from gridslam.live.replay import Replay
@@ -39,7 +38,7 @@ _PATIENCE_S = 0.15  # for an answer; most of what is malformed gets one at once
 _METHODS = "GET", "GET", "GET", "HEAD", "POST", "PUT", "OPTIONS", "DELETE", "TRACE", "CONNECT", "get", "G(T", "A" * 3000
 _VERSIONS = "HTTP/1.0", "HTTP/2.0", "HTTP/0.9", "HTTP/1.1 x", ""
 _PATHS = (
-    "/", "/socket", "/map.zip", "/trajectory.tum", "/session.gridslam", "/app.js", "/index.html", "", "*", "//", "/.",
+    "/", "/socket", "/map.zip", "/trajectory.tum", "/app.js", "/index.html", "", "*", "//", "/.",
     "/..", "/../page.py", "/%2e%2e/page.py", "/..%2fpage.py", "/..%5cpage.py", "/%252e%252e/page.py", "/%c0%ae%c0%ae/",
     "/%00", "/app.js%00.html", "/%", "/%zz", "/%ff%fe", "/%ed%a0%80", "/socket/", "/map.zip/", "/app.js/", "/~", "/[",
     "http://127.0.0.1/", "http://[/", "http://evil.example/app.js", "///etc/passwd", "/" + "a" * 300, "/" + "a/" * 3000
@@ -205,9 +204,7 @@ def _visit(out: Path, result: Any, where: Path) -> None:
 def _serve(content: str, out: Path, result: Any) -> PageServer | LivePage:
     if content == "replay":
         return PageServer(Replay(out), LiveOptions(port=0))
-    nothing = RobotCommands(lambda pose: None, lambda: None, lambda: None, *[lambda session: (True, "done")] * 5)
-    robot = RobotControl(lambda: False, lambda paused: None, nothing) if content == "robot" else None
-    page = LivePage("drive", LiveOptions(port=0), robot=robot)
+    page = LivePage("drive", LiveOptions(port=0), is_robot=content == "robot")
     page._run.finish(result.map, result.graph.poses, np.zeros((0, 4)))
     return page
 

@@ -10,7 +10,6 @@ from typing import NamedTuple, final
 
 import numpy as np
 
-from gridslam.api.session_edits import EditsBefore
 from gridslam.config import Configuration
 from gridslam.geometry.single_pose import ORIGIN, Pose, as_pose, between, compose, is_known, motion_of
 from gridslam.io.measurement import Measurement
@@ -65,8 +64,6 @@ class Beginning:
         Other pieces of the map of earlier drives.
     locator : EarlierPieces or None
         Looks for the robot in the pieces, until it is found.
-    edits : tuple of EditsBefore
-        Those of the session that is continued.
     failures : FailureRecorder
         The scans of the log so far at which the filter has failed.
     """
@@ -74,7 +71,6 @@ class Beginning:
     run: SavedRun
     pieces: tuple[SavedPiece, ...] = ()
     locator: EarlierPieces | None = None
-    edits: tuple[EditsBefore, ...] = ()
     failures: FailureRecorder = field(default_factory=FailureRecorder)
 
     def attach(self, report: StepReport, state: GridFastSlamState, seconds: float) -> None:

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import math
 import os
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar, Literal, NamedTuple, final
 
@@ -104,10 +104,6 @@ class LocalizationResult(Result):
         Time spent; saving adds to it.
     failures : tuple of str
         Scans at which the filter failed, which were skipped.
-    floors : mapping of str to float
-        The maps of several floors, and the shares of the scans at which the robot is localized in each.
-    floor : str or None
-        The one of them on which it was; None where the maps do not differ enough, or it is hardly localized in any.
     """
 
     schema: ClassVar = "gridslam.localization/2"
@@ -130,8 +126,6 @@ class LocalizationResult(Result):
     repair: Repair
     stopwatch: Stopwatch
     failures: tuple[str, ...] = ()
-    floors: Mapping[str, float] = field(default_factory=dict)
-    floor: str | None = None
 
     @property
     def trajectory(self) -> Trajectory:
@@ -237,8 +231,6 @@ class LocalizationResult(Result):
                 }
                 for interval in self.intervals()
             ],
-            "floor": self.floor,
-            "floors": dict(self.floors),
             "configuration": to_table(self.configuration),
         }
 

@@ -10,7 +10,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar
 
 from gridslam import __version__
-from gridslam.api.peak_memory import return_freed_memory
 from gridslam.doctor.repair import Repair, RepairedLog
 from gridslam.io.log import Log
 from gridslam.io.log_statistics import LogStatistics
@@ -100,7 +99,6 @@ class Result(ABC):
         """Write all results into an open output folder; returns the content of run.json. `messages` as in `save`."""
         self.stopwatch.resume()
         self._write_files(out)
-        return_freed_memory()  # of scans, maps and tables, before the picture needs its own
         self.stopwatch.lap("write")
         failures = [*self.failures]
         try:

@@ -21,19 +21,16 @@ from gridslam.api.beginning import (
     restart_at_same_place,
 )
 from gridslam.api.mapping import MapResult, map_log
-from gridslam.api.session_edits import EditsBefore, find_edits, keep_edits, set_aside, write_session_and_edits
 from gridslam.arguments import freeze, require_seed, require_threads
 from gridslam.checked import checked
 from gridslam.config import Configuration, build
 from gridslam.doctor.repair import open_repaired
 from gridslam.errors import ArgumentError
 from gridslam.grid.tiles import TiledGrid
-from gridslam.io.edited_maps import MapEdits
-from gridslam.io.edits import Edits
 from gridslam.io.log import LogOptions, LogSource
 from gridslam.io.measurement import Measurement
 from gridslam.io.sessions.drives import Drive, DrivenLog, SavedPiece, choose_name, find_floor
-from gridslam.io.sessions.session_file import SavedRun, SavedSession, read_session
+from gridslam.io.sessions.session_file import SavedRun, SavedSession, read_session, write_session
 from gridslam.slam.full_slam.full_slam import FullSlam, full_slam, refine_piece
 from gridslam.slam.full_slam.full_trajectory import full_trajectories
 from gridslam.slam.full_slam.merging import merge_pieces
@@ -95,7 +92,6 @@ class Session:
         self._maps: list[_Map] | None = None
         self.decision: PlaceDecision | None = None
         self.is_same_place = False
-        self._edits: list[EditsBefore] = []
 
     @classmethod
     def open(cls, path: str | Path, *, threads: int = 1) -> Session:
@@ -109,7 +105,6 @@ class Session:
         require_threads(threads)
         self = cls.of(read_session(path, threads), threads=threads)
         self._path = Path(path)
-        self._edits = [EditsBefore(find_edits(path))]
         return self
 
     @classmethod
@@ -181,22 +176,6 @@ class Session:
             raise ArgumentError("floor", " or ".join(self.names), name)
         return self.names.index(name)
 
-    def edits_of(self, number: int) -> MapEdits:
-        """Return one of the maps as edits follow it."""
-        return MapEdits(self._path or "", "", self.pieces[number].trajectories, is_newest=number == 0)
-
-    @property
-    def edits(self) -> Edits:
-        """The edits beside the opened file, moved to the maps as they are now; raises InputError for a damaged file.
-
-        Each names the drive whose scan it follows, and so the map.
-        """
-        return keep_edits(self._edits, self._list_maps(), self._path or "")
-
-    def _list_maps(self) -> list[dict[str, Trajectory]]:
-        """Return the trajectories of the drives of each map."""
-        return [piece.trajectories for piece in self.pieces]
-
     def add(
         self,
         log: LogSource,
@@ -257,7 +236,6 @@ class Session:
         if is_other and where is Place.SAME:
             raise ArgumentError("floor", f"{before}, on which the robot is at the same place", floor)
         self._decide(first, Place.ELSEWHERE if begin is not None or frozen or is_other else where)
-        self._note_edits(keeps_all=self.is_same_place)
         begun = self._begin(first, begin, frozen, name, floor)
         result = map_log(
             source,
@@ -316,16 +294,10 @@ class Session:
         if closure is None:
             raise ArgumentError("sessions", "ones with loop closure, to recognize places", "ones without")
         _require_different_logs(sessions)
-        owned = sorted(((piece, own) for own in sessions for piece in own.pieces), key=lambda pair: _order(pair[0]))
+        owned = sorted((piece for own in sessions for piece in own.pieces), key=_order)
         if not owned:
             raise ArgumentError("sessions", "one with a drive at least", "empty ones")
-        pieces = _name_apart([piece for piece, _ in owned])
-        names = {own: dict[str, str]() for own in sessions}
-        for (piece, own), renamed in zip(owned, pieces, strict=True):
-            names[own] |= {old.name: new.name for old, new in zip(piece.drives, renamed.drives, strict=True)}
-        for own in sessions:
-            own._note_edits(keeps_all=False)
-        edits = [source.rename(names[own]) for own in sessions for source in own._edits]
+        pieces = _name_apart(owned)
         mapper = self.configuration.mapper
         groups = []
         for floor in sorted({piece.floor for piece in pieces}):
@@ -338,31 +310,25 @@ class Session:
         first = _Map(SavedPiece(full.piece or largest.piece, largest.drives), full.tiled_map, full.poses)
         self._maps = [first, *(_Map.draw(piece, self.configuration) for piece in groups[1:])]
         self._saved = SavedSession(self.configuration, self._saved.seed, None, tuple(self.pieces))
-        self._edits = edits
         return full
 
     def save(self, path: str | Path | None = None) -> None:
         """Write a session file; where it was opened or saved last if no path is given.
-
-        The edits beside the files that were opened are written beside it first (see `write_session_and_edits`). Edits
-        of another session that lie there are kept under another name.
 
         Raises
         ------
         ArgumentError
             No path is known.
         OutputError
-            The file cannot be written, or the edits are damaged; then the session is written alone.
+            The file cannot be written.
         """
         target = path or self._path
         if target is None:
             raise ArgumentError("path", "a path: the session was never saved", None)
         now = datetime.now(timezone.utc).isoformat(timespec="seconds")
         self._saved = replace(self._saved, written=now, version=__version__)
-        set_aside(target, self._edits)
-        write_session_and_edits(target, self._saved, self._edits, self._list_maps)
+        write_session(target, self._saved)
         self._path = Path(target)
-        self._edits = [EditsBefore(find_edits(target))]
 
     def _decide(self, first: Measurement, place: Place) -> None:
         """Decide whether the log continues at the end of the last one."""
@@ -392,13 +358,6 @@ class Session:
             rng = np.random.default_rng(saved.seed + len(drives))
             run = SavedRun(rng, name=choose_name(name, drives), floor=floor)
         return Beginning(run, pieces, locate_in(pieces, self.configuration, run, pose))
-
-    def _note_edits(self, *, keeps_all: bool) -> None:
-        """Store the poses of the scans that edits follow, before a new drive leaves some of them out."""
-        for source in self._edits:
-            source.keep(())  # a damaged file is refused before the log is mapped
-        maps = [] if keeps_all else self._list_maps()
-        self._edits = [source.note(maps) for source in self._edits]
 
     def _refine(self) -> list[_Map]:
         """Refine the newest drive's piece, and build the maps of all."""

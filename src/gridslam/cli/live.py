@@ -13,7 +13,7 @@ import numpy as np
 
 from gridslam.cli.options import name_option
 from gridslam.cli.output import warn
-from gridslam.errors import InputError, OutputError
+from gridslam.errors import OutputError
 from gridslam.live.options import LiveOptions
 from gridslam.messages import Level, Messages
 from gridslam.pipeline import describe_error, isolate
@@ -23,7 +23,6 @@ if TYPE_CHECKING:
     from gridslam.io.log import Log
     from gridslam.io.measurement import Measurement
     from gridslam.io.output import OutputFolder
-    from gridslam.live.edits import EditsFile
     from gridslam.live.history_recorder import HistoryRecorder
     from gridslam.live.page import LivePage
     from gridslam.live.results import StaticView
@@ -85,11 +84,6 @@ class Viewers(NamedTuple):
         """Show on the page the session that the run continues: the name of its file, and its drives."""
         if self.page is not None:
             self.page.show_session(name, drives)
-
-    def offer_session(self, path: Path | None) -> None:
-        """Let viewers download the session file that a later run can continue, if there is one."""
-        if self.page is not None and path is not None:
-            self.page.offer_session(path)
 
     def show_result(self, result: MapResult) -> None:
         """Show the result of a run on the page."""
@@ -177,30 +171,9 @@ def serve_page(page: AbstractContextManager[_Page]) -> Iterator[_Page]:
 @contextmanager
 def node_page(live: LiveOptions, title: str, core: NodeCore, known: OccupancyGrid | None) -> Iterator[None]:
     """Serve the page of a node that is not started yet, until it has ended."""
-    from gridslam.live.control import NO_COMMANDS, RobotCommands, RobotControl
     from gridslam.live.page import LivePage
-    from gridslam.ros.node.session_services import SessionServices
 
-    commands = NO_COMMANDS
-    if live.controls and core.localizes:
-        commands = RobotCommands(set_pose=core.set_pose, locate=core.reset)
-    elif live.controls:
-        folder = core.results_folder
-        services = SessionServices(core, folder, core.messages.report)
-
-        def on_session(serve: Callable[[str], str]) -> Callable[[str], tuple[bool, str]]:
-            return lambda name: services.answer(serve, str(folder / name) if name else "")
-
-        commands = RobotCommands(
-            reset=core.reset,
-            save=lambda name: services.answer(services.save),
-            serialize=on_session(services.serialize),
-            go_on=on_session(services.deserialize),
-            merge=on_session(services.merge),
-            localize=lambda name: services.answer(services.switch),
-        )
-    robot = RobotControl(lambda: core.is_paused, core.pause, commands)
-    page = LivePage(title, live, range_max_m=core.configuration.range_max_m, known=known, robot=robot)
+    page = LivePage(title, live, range_max_m=core.configuration.range_max_m, known=known, is_robot=True)
     with serve_page(page):
 
         def on_diagnostics(diagnostics: Diagnostics) -> None:
@@ -209,8 +182,6 @@ def node_page(live: LiveOptions, title: str, core: NodeCore, known: OccupancyGri
             mapped = core.mapped_session
             if mapped is not None and mapped.continued is not None:
                 page.show_session(mapped.continued.path.name, mapped.continued.names)
-            if core.session_file is not None and core.session_file.is_file():
-                page.offer_session(core.session_file)
 
         core.add_observer(page.observer, page.follow_session, on_diagnostics)
         announce(page.url, live)
@@ -235,10 +206,8 @@ def open_page(url: str, live: LiveOptions) -> None:
 def view(
     out: Path,
     live: LiveOptions,
-    beside: Path | None = None,
     *,
     edit: bool = False,
-    edit_graph: bool = False,
     floor: str | None = None,
 ) -> None:
     """Show a finished run, or a map of a session, in the browser until interrupted, which is how it ends well."""
@@ -253,18 +222,14 @@ def view(
         open_page(address, live)
         return
     speed = 10.0 if live.speed is None else live.speed
-    edits: EditsFile | None
-    if out.suffix == ".gridslam":
-        if edit_graph:
-            raise click.UsageError("--edit-graph needs a folder OUT, not a session")
-        shown, edits = _open_session_map(out, floor, edit=edit)
-        replay = Replay(out, beside, speed, edit, shown=shown)
-    else:
-        if floor is not None:
-            raise click.UsageError("--floor needs a session, NAME.gridslam")
-        edits = EditsFile.of_folder(out) if edit else None
-        replay = Replay(out, beside, speed, edit, edits_graph=edit_graph)
-    with serve_page(PageServer(replay, live, edits=edits if edit else None)) as page:
+    is_session = out.suffix == ".gridslam"
+    if is_session and edit:
+        raise click.UsageError("--edit needs a folder OUT (session FILE -o OUT writes its maps)")
+    if floor is not None and not is_session:
+        raise click.UsageError("--floor needs a session, NAME.gridslam")
+    edits = EditsFile(out, warn) if edit else None
+    replay = Replay(out, speed, edit, shown=_open_session_map(out, floor) if is_session else None)
+    with serve_page(PageServer(replay, live, edits=edits)) as page:
         if replay.results.missing:
             warn(f"{out}: {replay.results.missing}")
         click.echo(f"{out}: open {page.url} (Ctrl-C ends)")
@@ -275,21 +240,12 @@ def view(
             click.echo("closed")
 
 
-def _open_session_map(path: Path, floor: str | None, *, edit: bool) -> tuple[StaticView, EditsFile]:
-    """Open a map of a session, the newest drive's unless a floor is named, and the edits beside the session.
-
-    Raises InputError where a map is to be edited that no drive has: edits follow the scans of drives.
-    """
+def _open_session_map(path: Path, floor: str | None) -> StaticView:
+    """Open a map of a session, the newest drive's unless a floor is named."""
     from gridslam.api.session import Session
-    from gridslam.api.session_edits import find_edits
-    from gridslam.live.edits import EditsFile
     from gridslam.live.results import StaticView
 
     session = Session.open(path)
     with name_option(floor="--floor"):
         number = session.find_map(floor)
-    of_map = session.edits_of(number)
-    if edit and not of_map.trajectories:
-        raise InputError(path, "expected a map of a drive, whose scans edits follow, to be edited, got the given map")
-    grid = session.maps[number].whole()
-    return StaticView(grid), EditsFile(find_edits(path), grid, of_map)
+    return StaticView(session.maps[number].whole())

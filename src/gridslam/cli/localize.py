@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Sequence
 from contextlib import nullcontext
-from dataclasses import replace
 from pathlib import Path
 from typing import Any, Literal
 
@@ -13,7 +12,6 @@ import numpy as np
 
 from gridslam.api.amcl import AMCL_DEFAULTS, AmclParameters, from_amcl, override_configuration, read_amcl
 from gridslam.api.diagnosis import check_log
-from gridslam.api.floors import choose_floor, compare_floors
 from gridslam.api.localization import LocalizationResult, localize
 from gridslam.cli import STARTED_S
 from gridslam.cli.live import open_viewers
@@ -32,7 +30,6 @@ _MAX_LINES = 8
 def localize_to_folder(
     log: Path,
     map_path: Path,
-    other_maps: tuple[Path, ...],
     out: Path | None,
     initial_pose: tuple[float, float, float] | None,
     strict_thresholds: bool,
@@ -60,11 +57,6 @@ def localize_to_folder(
         "threads": threads,
         "repair": repair,
     }
-    shares: dict[Path, float] = {}
-    if other_maps:
-        with name_option(pose="--initial-pose"):
-            shares = compare_floors(lambda: open_log(log, options), (map_path, *other_maps), **how)
-        map_path = max(shares, key=lambda path: shares[path])
     source = check_log(open_log(log, options), options, lambda text: viewers.report(text))
     known = read_edited_map(map_path, strict_thresholds=strict_thresholds) if live is not None else None
     with open_viewers(
@@ -89,9 +81,6 @@ def localize_to_folder(
                 stopwatch=watch,
                 **viewers.watch(source, watch),
             )
-            floor, unknown = choose_floor(shares) if shares else (None, "")
-            floors = {str(path): share for path, share in shares.items()}
-            result = replace(result, floors=floors, floor=None if floor is None else str(floor))
             for warning in result.warnings():
                 viewers.report(warning)
             if read.ignored:
@@ -99,7 +88,7 @@ def localize_to_folder(
             if folder is not None:
                 viewers.write_history(folder)
             document = result.document() if folder is None else result.write(folder, viewers.messages.to_list())
-        print_result(document, _summarize(document, result, unknown, out), as_json)
+        print_result(document, _summarize(document, result, out), as_json)
 
 
 def read_parameters(
@@ -118,8 +107,8 @@ def read_parameters(
     return read._replace(ignored=(*of_file.ignored, *read.ignored))
 
 
-def _summarize(document: dict[str, Any], result: LocalizationResult, unknown: str, out: Path | None) -> Iterator[str]:
-    """Format the summary of a run; `unknown` is why the floor is not known."""
+def _summarize(document: dict[str, Any], result: LocalizationResult, out: Path | None) -> Iterator[str]:
+    """Format the summary of a run."""
     scans = document["scans"]
     filter_ = document["filter"]
     seconds = document["time"]["wall_s"]
@@ -131,9 +120,6 @@ def _summarize(document: dict[str, Any], result: LocalizationResult, unknown: st
         f"localized in {seconds:.1f} s: {scans['used']} updates of {filter_['particles_mean']:.0f} particles "
         f"on average, {filter_['inlier_ratio_mean']:.0%} of the beams agree with the map"
     )
-    if result.floors:
-        shares = ", ".join(f"{path} at {share:.0%} of the scans" for path, share in result.floors.items())
-        yield f"floor: {result.floor or f'unknown, as {unknown}'}; localized in {shares}"
     yield from _summarize_intervals(result)
     x, y, theta = result.reports[-1].pose.tolist()
     deviation = math.sqrt(float(np.trace(result.reports[-1].covariance[:2, :2])))

@@ -10,7 +10,6 @@ from typing import Any, Literal
 
 from gridslam.api.diagnosis import check_log, describe_finding
 from gridslam.api.mapping import MapResult, map_log
-from gridslam.api.peak_memory import return_large_blocks
 from gridslam.cli import STARTED_S
 from gridslam.cli.live import NOBODY, Viewers, open_viewers
 from gridslam.cli.options import MapOptions, name_option
@@ -36,7 +35,6 @@ def map_to_folder(
     as_json: bool,
 ) -> None:
     """Map a log, write the results to a folder and print a summary."""
-    return_large_blocks()
     watch = Stopwatch(STARTED_S, 0.0)
     configuration = given.configuration()
     opened = session.open(configuration, given.seed, given.threads)
@@ -66,9 +64,7 @@ def map_to_folder(
             for warning in result.warnings():
                 report(f"{log}: {warning}")
             document = result.write(folder, viewers.messages.to_list())
-        if is_saved:
-            viewers.offer_session(session.save)
-        else:
+        if not is_saved:
             session = replace(session, save=None)
         summary = summarize(document, result, out)
         print_result(document, [*summary, *session.summarize(opened, result)], as_json)

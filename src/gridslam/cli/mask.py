@@ -14,7 +14,7 @@ import numpy as np
 
 from gridslam.cli.output import counted, open_output, print_result, warn
 from gridslam.errors import ArgumentError, InputError
-from gridslam.io.edited_maps import MapEdits, anchor_edits, apply_edits
+from gridslam.io.edited_maps import apply_edits, check_edits, compute_image_digest
 from gridslam.io.edits import Edits, parse_edits, write_edits
 from gridslam.io.maps import read_map, write_map
 from gridslam.io.text import read_json
@@ -43,12 +43,12 @@ def mask_to_folder(
         problem = "expected another folder than that of the map, whose files would be replaced"
         raise click.BadParameter(problem, param_hint="'-o'")
     grid = read_map(map_yaml, on_remark=warn)
-    of_map = MapEdits.of(map_yaml)
     world = None if origin is None else WorldOrigin(*origin)
     document = read_json(edits)
     read = parse_edits(document if world is None else turn_edits_to_metres(document, world), edits)
-    drawn = anchor_edits(of_map.carry(read, edits, grid), of_map.trajectories)
-    drawn = replace(drawn, map_name=os.path.relpath(map_yaml.resolve(), out.resolve()))
+    check_edits(read, edits, map_yaml, grid, warn)
+    name = os.path.relpath(map_yaml.resolve(), out.resolve())
+    drawn = replace(read, map_name=name, map_sha256=compute_image_digest(map_yaml))
     edited = apply_edits(grid, drawn)
     try:
         masks = _make_masks(grid, drawn, off_lane_percent)

@@ -78,19 +78,12 @@ _LIVE_NAMES = {
     "live_port": "--live-port",
     "live_host": "--live-host",
     "live_opens": "--open",
-    "live_controls": "--live-control",
     "live_speed": "--live-speed",
     "live_wait_s": "--wait",
 }
 _OPEN_OPTION = click.option("--open", "live_opens", is_flag=True, help="Open the page in the default browser.")
 _SPEED_OPTION = click.option(
     "--live-speed", type=Number(), metavar="FACTOR", help="Initial speed of the page, a factor on real time."
-)
-_CONTROL_OPTION = click.option(
-    "--live-control",
-    "live_controls",
-    is_flag=True,
-    help="Let viewers command the robot, besides pausing: pose, reset, save, sessions.",
 )
 _WAIT_OPTION = click.option(
     "--wait", "live_wait_s", type=SECONDS, metavar="S", help="Wait up to S seconds for a viewer."
@@ -118,8 +111,8 @@ def live_options(command: _Command) -> _Command:
 
 
 def robot_live_options(command: _Command) -> _Command:
-    """Add the options of `live_options`, with control instead of speed and waiting, as no robot waits."""
-    return _add_live_options(command, (_LIVE_OPTION, *_HOST_OPTIONS, _OPEN_OPTION, _CONTROL_OPTION))
+    """Add the options of `live_options` without speed and waiting, as no robot waits."""
+    return _add_live_options(command, (_LIVE_OPTION, *_HOST_OPTIONS, _OPEN_OPTION))
 
 
 def host_options(command: _Command) -> _Command:

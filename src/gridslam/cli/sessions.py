@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Iterator
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -12,11 +10,8 @@ import click
 
 from gridslam.api.merging import MergeResult, merge_sessions
 from gridslam.api.session import Session
-from gridslam.api.session_edits import find_edits
 from gridslam.cli.options import name_option
 from gridslam.cli.output import counted, elapsed_progress, open_output, print_result, warn, write_apart
-from gridslam.io.edited_maps import MapEdits
-from gridslam.io.edits import Edits, read_edits, write_edits
 from gridslam.io.maps import write_map
 from gridslam.io.sessions.drives import choose_name
 from gridslam.io.sessions.session_file import read_head
@@ -24,14 +19,11 @@ from gridslam.pipeline import Stopwatch
 
 
 def show_session(file: Path, out: Path | None, as_json: bool) -> None:
-    """Print the content of a session file; with a folder write its maps and their edits there."""
+    """Print the content of a session file; with a folder write its maps there."""
     head = read_head(file)
     document = head.document
     groups = [*([] if document["run"] is None else [_of_run(document["run"])]), *document["pieces"]]
     names = _name_maps(groups)
-    edits = read_edits(find_edits(file)) if find_edits(file).exists() else Edits()
-    drives = {"", *(drive["name"] for drives in groups for drive in drives)}
-    known = replace(edits, edits=tuple(edit for edit in edits.edits if edit.drive in drives))
     logs = [log for drives in groups for drive in drives for log in drive["logs"]]
     content = {
         "schema": "gridslam.session_summary/1",
@@ -41,23 +33,14 @@ def show_session(file: Path, out: Path | None, as_json: bool) -> None:
         "can_go_on": document["run"] is not None,
         "maps": names,
         "pieces": groups,
-        "edits": len(known.edits),
-        "links": _find_links(known, names, groups),
         "scans": sum(log["scans"] for log in logs),
         "length_m": sum(log["length_m"] for log in logs),
         "days": len({log["first_stamp_ns"] // 86_400_000_000_000 for log in logs}),
         "key_scans": head.key_scans,
         "constraints": head.constraints,
     }
-    shown = len(known.edits)
     if out is not None:
-        shown = _write_maps(Session.open(file), out)
-    if shown < len(edits.edits):
-        others = counted(len(edits.edits) - shown, "edit")
-        warn(f"{find_edits(file)}: {others} of drives or scans that are not in this session, left out")
-    placeless = sum(edit.anchor is None and not edit.drive for edit in known.edits)
-    if placeless and len(names) > 1:
-        warn(f"{find_edits(file)}: {counted(placeless, 'edit')} without a drive, taken for {names[0]}, the newest map")
+        _write_maps(Session.open(file), out)
     print_result(content, _describe(content), as_json)
 
 
@@ -74,32 +57,12 @@ def _name_maps(groups: list[list[dict[str, Any]]]) -> list[str]:
     return names
 
 
-def _find_links(edits: Edits, names: list[str], groups: list[list[dict[str, Any]]]) -> dict[str, list[dict[str, Any]]]:
-    """Lifts and stairs by their names: on which maps they are, and with which poses."""
-    links: dict[str, list[dict[str, Any]]] = {}
-    maps = {drive["name"]: name for name, drives in zip(names, groups, strict=True) for drive in drives}
-    for edit in edits.of("links"):
-        (x, y), (ahead_x, ahead_y) = edit.points[:2].tolist()
-        pose = [x, y, math.atan2(ahead_y - y, ahead_x - x)]
-        links.setdefault(edit.name, []).append({"map": maps.get(edit.drive, names[0]), "pose": pose})
-    return links
-
-
-def _write_maps(session: Session, out: Path) -> int:
-    """Write the maps of a session, each with its edits; return the number of edits."""
-    names, edits = session.names, session.edits
-    count = 0
-    with open_output(out, [f"{name}{suffix}" for name in names for suffix in (".yaml", ".pgm", ".geojson")]) as folder:
-        for number, (name, grid) in enumerate(zip(names, session.maps, strict=True)):
+def _write_maps(session: Session, out: Path) -> None:
+    """Write the maps of a session."""
+    names = session.names
+    with open_output(out, [f"{name}{suffix}" for name in names for suffix in (".yaml", ".pgm")]) as folder:
+        for name, grid in zip(names, session.maps, strict=True):
             write_map(folder.file(f"{name}.yaml"), grid)
-            own = MapEdits.of(folder.file(f"{name}.yaml"))
-            shown, _ = session.edits_of(number).split(edits)
-            count += len(shown.edits)
-            if shown.edits:
-                write_edits(
-                    folder.file(f"{name}.geojson"), replace(shown, map_name=f"{name}.yaml", map_sha256=own.sha256)
-                )
-    return count
 
 
 def _describe(content: dict[str, Any]) -> Iterator[str]:
@@ -120,11 +83,6 @@ def _describe(content: dict[str, Any]) -> Iterator[str]:
             for log in drive["logs"]:
                 digest = f", SHA-256 {log['sha256'][:12]}" if log["sha256"] else ""
                 yield f"  {drive['name']}: {log['path']}, {log['scans']} scans, {log['length_m']:.0f} m{digest}"
-    if content["edits"]:
-        yield counted(content["edits"], "edit")
-    for name, ends in content["links"].items():
-        places = ", ".join(f"{end['map']} {end['pose'][0]:.2f}, {end['pose'][1]:.2f} m" for end in ends)
-        yield f"link {name}: {places}{'' if len(ends) > 1 else ' (drawn on one floor alone)'}"
     if not content["can_go_on"]:
         yield "the filter has ended: the next log begins elsewhere"
 

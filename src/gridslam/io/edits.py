@@ -1,4 +1,4 @@
-"""Edits of a map: layers of walls, erased areas, rooms, zones for robots and links of floors, in one GeoJSON file."""
+"""Edits of a map: layers of walls, erased areas, rooms and zones for robots, in one GeoJSON file."""
 
 from __future__ import annotations
 
@@ -26,16 +26,13 @@ LAYERS: Mapping[str, tuple[str, ...]] = {
     "no_go": ("LineString",),
     "speed": ("Polygon",),
     "lanes": ("LineString",),
-    "links": ("LineString",),
 }
 """Each layer, and the geometries that it may have."""
-_NAMED = "rooms", "links"
 _WIDTHS_M = {"walls": 0.1, "no_go": 0.1, "lanes": 0.6}
 _LIMITS = {"limit_percent": (1.0, 100.0), "limit_m_s": (0.01, 100.0)}
 _MOST_FEATURES = 10_000
 _MOST_CORNERS = 1000
 _LONGEST_NAME = 100
-_LONGEST_DRIVE = 300  # drives have the names of their logs
 _FARTHEST_M = 1e6
 _LEAST_AREA_M2 = 1e-6
 
@@ -54,16 +51,11 @@ class Edit:
     points : (K, 2) float64, m
         In the map's frame; of a polygon the corners, anticlockwise, the first not repeated.
     name : str
-        Of a room, or of a link: a lift or a stair, which begins on each floor where a line of this name does, in its
-        direction.
+        Of a room.
     width_m : float, m
-        Of a line; 0 of a link.
+        Of a line.
     limits : dict of str to float
         Of a speed zone: "limit_percent", 1 to 100, or "limit_m_s".
-    anchor : (4,) float64 or None
-        Stamp (s) and pose (m, m, rad) of the scan that it follows when the map's trajectory is corrected.
-    drive : str
-        Of a session, which that scan is of; empty in the folder of a run.
     """
 
     layer: str
@@ -72,23 +64,17 @@ class Edit:
     name: str = ""
     width_m: float = 0.0
     limits: Mapping[str, float] | None = None
-    anchor: _FloatArray | None = None
-    drive: str = ""
 
     def to_feature(self) -> dict[str, Any]:
         """Return the feature of GeoJSON, with positions to 0.1 mm."""
         places = (np.round(self.points, 4) + 0.0).tolist()
         coordinates = {"Point": places[0], "LineString": places, "Polygon": [[*places, places[0]]]}[self.geometry]
         properties: dict[str, Any] = {"layer": self.layer}
-        if self.layer in _NAMED:
+        if self.name:
             properties["name"] = self.name
         if self.width_m:
             properties["width_m"] = self.width_m
         properties |= self.limits or {}
-        if self.anchor is not None:
-            properties["anchor"] = self.anchor.tolist()
-        if self.drive:
-            properties["drive"] = self.drive
         geometry = {"type": self.geometry, "coordinates": coordinates}
         return {"type": "Feature", "properties": properties, "geometry": geometry}
 
@@ -174,16 +160,14 @@ def _parse_feature(feature: Any) -> Edit:  # noqa: ANN401
         raise ValueError(f"expected a layer of {', '.join(LAYERS)}, got {str(layer)[:40]!r}")
     if kind not in LAYERS[layer]:
         raise ValueError(f"expected a {' or '.join(LAYERS[layer])} in the layer {layer}, got {str(kind)[:40]!r}")
-    is_named, is_wide = layer in _NAMED, kind == "LineString" and layer in _WIDTHS_M
+    is_line = kind == "LineString"
     return Edit(
         layer,
         kind,
         _read_points(kind, geometry.get("coordinates")),
-        _read_name(properties) if is_named else "",
-        _read_number(properties, "width_m", 0.01, 10.0, _WIDTHS_M[layer]) if is_wide else 0.0,
+        _read_name(properties) if layer == "rooms" else "",
+        _read_number(properties, "width_m", 0.01, 10.0, _WIDTHS_M[layer]) if is_line else 0.0,
         _read_limits(properties) if layer == "speed" else None,
-        _read_anchor(properties.get("anchor")),
-        _read_drive(properties.get("drive", "")),
     )
 
 
@@ -191,12 +175,6 @@ def _read_name(properties: Mapping[str, Any]) -> str:
     name = properties.get("name", "")
     if not (isinstance(name, str) and 0 < len(name) <= _LONGEST_NAME and name.isprintable()):
         raise ValueError(f"expected a name of 1 to {_LONGEST_NAME} printable letters, got {str(name)[:40]!r}")
-    return name
-
-
-def _read_drive(name: Any) -> str:  # noqa: ANN401
-    if not (isinstance(name, str) and len(name) <= _LONGEST_DRIVE):
-        raise ValueError(f"expected the name of a drive, got {str(name)[:40]!r}")
     return name
 
 
@@ -212,14 +190,6 @@ def _read_limits(properties: Mapping[str, Any]) -> dict[str, float]:
     if len(given) != 1:
         raise ValueError(f"expected either {' or '.join(_LIMITS)}, got {' and '.join(given) or 'none'}")
     return {given[0]: _read_number(properties, given[0], *_LIMITS[given[0]], math.nan)}
-
-
-def _read_anchor(values: Any) -> _FloatArray | None:  # noqa: ANN401
-    if values is None:
-        return None
-    if not (isinstance(values, list) and len(values) == 4 and _are_finite(values)):
-        raise ValueError("expected an anchor of a stamp (s) and a pose (m, m, rad)")
-    return np.array(values, np.float64)
 
 
 def _are_finite(values: list[Any]) -> bool:

@@ -1,23 +1,21 @@
-"""Downloads of visitors: the map, the trajectory, and the session that a later run can continue."""
+"""Downloads of visitors: the map and the trajectory."""
 
 from __future__ import annotations
 
 import asyncio
 import io
-import os
 import secrets
 import tempfile
 import zipfile
-from collections.abc import AsyncIterator, Awaitable, Callable
+from collections.abc import Awaitable, Callable
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
-from typing import IO, Protocol, TypeVar
+from typing import Protocol, TypeVar
 
 from starlette.requests import HTTPConnection, Request
-from starlette.responses import PlainTextResponse, Response, StreamingResponse
+from starlette.responses import PlainTextResponse, Response
 from starlette.routing import BaseRoute, Route
 
-from gridslam.errors import InputError
 from gridslam.io.maps import write_map
 from gridslam.io.trajectories import write_tum
 from gridslam.types import OccupancyGrid, Trajectory
@@ -35,9 +33,6 @@ class DownloadableContent(Protocol):
 
     def trajectory(self, channel: int) -> Trajectory | None:
         """Return the trajectory of a channel; None if there is none."""
-
-    def open_session(self) -> IO[bytes] | None:
-        """Open the session file that a later run can continue, or return None; raises InputError if it is gone."""
 
 
 def make_download_routes(
@@ -60,27 +55,12 @@ def make_download_routes(
 
         return send
 
-    async def send_session(request: Request) -> Response:
-        if not is_authorized(request, token):
-            return PlainTextResponse(_REFUSED, 403)
-        try:
-            file = await asyncio.wrap_future(thread.submit(content.open_session))
-        except InputError:
-            file = None
-        if file is None:
-            return PlainTextResponse("there is no session", 404)
-        size = os.fstat(file.fileno()).st_size
-        blocks = _read(file, 0 if request.method == "HEAD" else size)
-        headers = {"content-length": str(size)}
-        return StreamingResponse(blocks, media_type="application/octet-stream", headers=headers)
-
     return [
         Route("/map.zip", make_endpoint(content.channel_map, _zip_map, "application/zip", "there is no map")),
         Route(
             "/trajectory.tum",
             make_endpoint(content.trajectory, _format_trajectory, "text/plain", "there is no trajectory"),
         ),
-        Route("/session.gridslam", send_session),
     ]
 
 
@@ -94,14 +74,6 @@ def is_foreign(connection: HTTPConnection) -> bool:
     """Return whether a request comes from another site's page."""
     origin = connection.headers.get("origin")
     return origin is not None and origin.partition("://")[2] != connection.headers.get("host")
-
-
-async def _read(file: IO[bytes], size: int) -> AsyncIterator[bytes]:
-    """Yield this many bytes of a file in blocks, and close it."""
-    with file:
-        while block := await asyncio.to_thread(file.read, min(_BLOCK, size)):
-            yield block
-            size -= len(block)
 
 
 def _zip_map(grid: OccupancyGrid) -> bytes:

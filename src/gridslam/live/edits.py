@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import hashlib
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 from threading import Lock
@@ -14,53 +15,45 @@ from starlette.responses import PlainTextResponse, Response
 from starlette.routing import Route
 
 from gridslam.errors import GridslamError, InputError
-from gridslam.io.edited_maps import MapEdits, anchor_edits
+from gridslam.io.edited_maps import check_edits, compute_image_digest, require_inside
 from gridslam.io.edits import Edits, parse_edits, read_edits, write_edits
 from gridslam.io.maps import read_map
 from gridslam.io.text import compute_digest, parse_json_object
 from gridslam.live.downloads import is_authorized, is_foreign
-from gridslam.types import OccupancyGrid
 
 EDITS_NAME = "edits.geojson"
 _MOST_BYTES = 1 << 23
-_CHANGED = "another page, or a run that goes on, has saved edits since: reload, or view it again, to see them"
+_CHANGED = "another page has saved edits since: reload, or view it again, to see them"
 
 
 @final
 class EditsFile:
-    """The file of edits beside a map, or beside a session.
+    """The file of edits beside a map.
 
     Parameters
     ----------
-    path : Path
-        The file; it need not be there.
-    grid : OccupancyGrid
-        The map that is shown.
-    of_map : MapEdits
-        What the edits follow. Those of a session's other maps stay in the file as they are, and are not shown.
+    folder : str or Path
+        OUT of `gridslam map` or `grid`, with ``map.yaml``; ``edits.geojson`` need not be there.
+    on_remark : callable
+        Gets a sentence where the edits were drawn on another image of the map.
 
     Raises
     ------
     InputError
-        The file is damaged, or another map's.
+        There is no map, or the file is damaged, or an edit lies outside the map.
     """
 
-    def __init__(self, path: Path, grid: OccupancyGrid, of_map: MapEdits) -> None:
-        """Read the edits, if there are any, and move these to where the map is now."""
-        self.path = path
-        self._grid = grid
-        self._map = of_map
+    def __init__(self, folder: str | Path, on_remark: Callable[[str], None] = lambda remark: None) -> None:
+        """Read the edits, if there are any."""
+        map_yaml = Path(folder) / "map.yaml"
+        self.path = map_yaml.with_name(EDITS_NAME)
+        self._grid = read_map(map_yaml)
+        self._map_sha256 = compute_image_digest(map_yaml)
         self._lock = Lock()
         self._stored = self._digest()
-        edits = read_edits(path) if self._stored else Edits()
-        shown, self._others = (of_map.carry(edits, path, grid), ()) if of_map.sha256 else of_map.split(edits)
-        self._text = self._complete(shown).to_text()
-
-    @classmethod
-    def of_folder(cls, folder: str | Path) -> EditsFile:
-        """Read ``edits.geojson`` of ``map.yaml`` in OUT of `gridslam map` or `grid`; raises InputError without one."""
-        path = Path(folder) / "map.yaml"
-        return cls(path.with_name(EDITS_NAME), read_map(path), MapEdits.of(path))
+        edits = read_edits(self.path) if self._stored else Edits()
+        check_edits(edits, self.path, map_yaml, self._grid, on_remark)
+        self._text = self._complete(edits).to_text()
 
     def read(self) -> tuple[str, str]:
         """Return the edits that are shown and the tag of this state of them."""
@@ -78,12 +71,12 @@ class EditsFile:
             The file cannot be written.
         """
         edits = parse_edits(parse_json_object(body, self.path), self.path)
-        self._map.require_inside(edits, self.path, self._grid)
+        require_inside(edits, self.path, self._grid)
         edits = self._complete(edits)
         with self._lock:
             if tag != self.read()[1] or self._digest() != self._stored:
                 raise InputError(self.path, _CHANGED)
-            write_edits(self.path, replace(edits, edits=(*edits.edits, *self._others)))
+            write_edits(self.path, edits)
             self._stored = self._digest()
             self._text = edits.to_text()
             return self.read()[1]
@@ -93,8 +86,7 @@ class EditsFile:
         return compute_digest(self.path) if self.path.exists() else ""
 
     def _complete(self, edits: Edits) -> Edits:
-        edits = anchor_edits(edits, self._map.trajectories)
-        return replace(edits, map_name=self._map.path.name, map_sha256=self._map.sha256)
+        return replace(edits, map_name="map.yaml", map_sha256=self._map_sha256)
 
 
 def make_edit_route(file: EditsFile, token: str | None) -> Route:

@@ -9,16 +9,19 @@ from typing import Any
 import numpy as np
 
 from gridslam.errors import InputError
+from gridslam.evaluation.trajectory import align, associate
+from gridslam.geometry.se2 import compose
 from gridslam.io.g2o import read_g2o
 from gridslam.io.landmarks import read_landmarks
 from gridslam.io.maps import read_map
 from gridslam.io.text import read_json, read_text, stay_below
 from gridslam.io.trajectories import read_trajectory_csv, read_tum
+from gridslam.live.ancestry_tree import NO_POINTS, Float32Array
 from gridslam.live.history import History
 from gridslam.live.history_file import HISTORY_NAME, read_history
 from gridslam.live.results import MappedRun, Results, StaticView, TrajectoryRun
 from gridslam.live.scene import MOST_MESSAGES
-from gridslam.types import FloatArray, IntArray, OccupancyGrid
+from gridslam.types import FloatArray, IntArray, OccupancyGrid, Trajectory
 
 _BELIEF_HEADER = "stamp_s,lost,lost_probability,inlier_ratio,particles,n_eff,injection_ratio"
 _MOST = 1e12  # of particles
@@ -93,6 +96,26 @@ _READERS: dict[str, Callable[[Path, dict[str, Any]], Results]] = {
     "gridslam.graph": _read_graph,
     "gridslam.merge": _read_merge,
 }
+
+
+def read_truth(out: Path, trajectory: Trajectory | None) -> Float32Array:
+    """Return the true path (P, 2), aligned rigidly with a run's by their stamps; empty if there is no `truth.tum`.
+
+    Raises
+    ------
+    InputError
+        The file is damaged, or no stamp is one of the run's.
+    """
+    path = out / "truth.tum"
+    if trajectory is None or not path.is_file():
+        return NO_POINTS
+    truth = read_tum(path)
+    own, matched = associate(trajectory, truth)
+    if not len(own):
+        raise InputError(path, "expected stamps of the run, within 20 ms, got none")
+    moved = align(truth.poses[matched, :2], trajectory.poses[own, :2])
+    aligned: Float32Array = compose(moved, truth.poses)[:, :2].astype(np.float32)
+    return aligned
 
 
 def read_optional_history(out: Path) -> History | None:

@@ -326,7 +326,7 @@ class PastReplica:
             self._numbers[at] = self.sequence
 
 
-def count_common(a: Float32Array, b: Float32Array) -> int:
+def count_common(a: FloatArray | Float32Array, b: FloatArray | Float32Array) -> int:
     """Return how many rows, from the first on, are the same."""
     count = min(len(a), len(b))
     if a is b:

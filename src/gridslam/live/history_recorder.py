@@ -11,7 +11,17 @@ from numpy.typing import NDArray
 
 from gridslam.grid.tiles import TileMaps
 from gridslam.live.ancestry_tree import NO_POINTS
-from gridslam.live.history import CORRECTED, LOST, NO_TILES, History, Moment, RowBuffer, pack_tiles, round_scan
+from gridslam.live.history import (
+    CORRECTED,
+    LOST,
+    NO_TILES,
+    History,
+    Moment,
+    RowBuffer,
+    count_common,
+    pack_tiles,
+    round_scan,
+)
 from gridslam.live.monitor import ClosureCollector
 from gridslam.live.protocol import pack_tiles as pack_levels
 from gridslam.live.tiles import EMPTY_BOX, TileChangeDetector, TileReplica
@@ -107,8 +117,9 @@ class HistoryRecorder:
         if isinstance(state, GridFastSlamState):
             at, tiles = self._shown.find_changes(state.maps, state.best)
             self.history.closures, self.history.recognized = self._collector.find(state)
-            first, newest = state.ancestry.newest_positions(state.best, self._path)
-            self._path = np.concatenate([self._path[:first], newest])
+            whole = state.ancestry.trajectory(state.best)[:, :2]
+            first = count_common(whole, self._path)
+            newest, self._path = whole[first:], whole
         else:
             first = len(self._path)
             newest = self._poses.rows[first:].astype(np.float64)

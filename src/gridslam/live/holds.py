@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import final
 
-from gridslam.live.control import Control, RobotControl
+from gridslam.live.control import Control
 
 
 @final
@@ -13,11 +13,11 @@ class Holds:
 
     Parameters
     ----------
-    control : Control or RobotControl
+    control : Control
         What they hold; its speed at first is that of nobody.
     """
 
-    def __init__(self, control: Control | RobotControl) -> None:
+    def __init__(self, control: Control) -> None:
         """Start without a viewer."""
         self._control = control
         self._initial_speed = control.speed
@@ -54,12 +54,6 @@ class Holds:
             self._speed_setter = None
             self._control.set_speed(self._initial_speed)
 
-    def update(self) -> None:
-        """Forget who paused, where the pause has been ended otherwise, as by a robot's service."""
-        if not self._control.paused:
-            self._holders.clear()
-
     def _add(self, viewer: object) -> None:
-        self.update()
         if self._holders or not self._control.paused:
             self._holders.add(viewer)

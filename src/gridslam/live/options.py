@@ -26,8 +26,6 @@ class LiveOptions:
         Initial factor on real time; None: as fast as possible.
     opens : bool
         Whether the page is opened in the default browser.
-    controls : bool
-        Whether viewers may command the robot, besides pausing it.
     wait_s : float or None, s
         How long to wait for a viewer before the run begins; None: as the command does by default.
 
@@ -41,7 +39,6 @@ class LiveOptions:
     port: int = 8642
     speed: float | None = None
     opens: bool = False
-    controls: bool = False
     wait_s: float | None = None
 
     def __post_init__(self) -> None:

@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any, TypeVar, final
 
 from gridslam.errors import InputError
-from gridslam.live.control import Control, RobotControl
+from gridslam.live.control import Control
 from gridslam.live.history_recorder import HistoryRecorder
 from gridslam.live.monitor import FilterMonitor, LocalizationMonitor, MappingMonitor
 from gridslam.live.observer import LiveObserver, Snapshot
@@ -42,8 +42,8 @@ class LivePage:
         Maximum range of the filter; farther beams are not displayed.
     known : OccupancyGrid, optional
         The known map of a filter that localizes.
-    robot : RobotControl, optional
-        Control of a live robot, which can be paused but not delayed.
+    is_robot : bool
+        Whether it is the page of a robot, which viewers cannot pause or delay.
 
     Attributes
     ----------
@@ -60,12 +60,12 @@ class LivePage:
         *,
         range_max_m: float = math.inf,
         known: OccupancyGrid | None = None,
-        robot: RobotControl | None = None,
+        is_robot: bool = False,
     ) -> None:
         """Create the page without serving it."""
         options = options or LiveOptions()
         self.control = Control(options.speed)
-        self._run = LiveRun(title, robot or self.control, range_max_m, known)
+        self._run = LiveRun(title, self.control, range_max_m, known, is_robot=is_robot)
         self._server = PageServer(self._run, options)
         self._last_stage = "final refinement" if known is None else "writing"
         monitor: FilterMonitor = MappingMonitor(range_max_m) if known is None else LocalizationMonitor(known)
@@ -125,10 +125,6 @@ class LivePage:
     def finish(self, grid: OccupancyGrid, poses: FloatArray, closures: FloatArray) -> None:
         """Show the final result: the map, poses (T, 3) of the key scans, and ends (C, 4) of the loop closures, m."""
         self._server.call(self._run.finish, grid, poses, closures)
-
-    def offer_session(self, path: Path) -> None:
-        """Let viewers download the session file that a later run can continue."""
-        self._server.call(self._run.offer_session, path)
 
     def show_session(self, name: str, drives: Sequence[str]) -> None:
         """Show the session that the run continues: the name of its file, and its drives."""

@@ -2,26 +2,23 @@
 
 from __future__ import annotations
 
-import os
 import time
 from collections.abc import Callable, Mapping
 from pathlib import Path
-from typing import IO, Any, final
+from typing import Any, final
 
 import numpy as np
 
-from gridslam.errors import ArgumentError, GridslamError
-from gridslam.io.text import open_for_reading, stay_below
+from gridslam.errors import ArgumentError
+from gridslam.io.text import stay_below
 from gridslam.live.ancestry_tree import NO_POINTS
-from gridslam.live.beside import read_beside
 from gridslam.live.control import check_speed
-from gridslam.live.finished import count_key_scans, read_optional_history, read_results
-from gridslam.live.graph_edits import EditedGraph, Overlay
+from gridslam.live.finished import count_key_scans, read_optional_history, read_results, read_truth
 from gridslam.live.history import History, PastMaps, PastReplica
 from gridslam.live.past import Past, PastReader
 from gridslam.live.results import MappedRun, StaticView
 from gridslam.live.scene import Scene, SentState, make_run_info
-from gridslam.live.tiles import TileReplica, tile_offset
+from gridslam.live.tiles import TileReplica
 from gridslam.messages import Level, Messages
 from gridslam.types import OccupancyGrid, Trajectory
 
@@ -34,13 +31,8 @@ class Replay:
     ----------
     folder : str or Path
         OUT of `gridslam map`, `localize`, `grid`, `landmarks`, `graph` or `merge`.
-    beside : str or Path, optional
-        What the run is compared with: another such folder, a map's YAML file or a trajectory's TUM file; by default
-        the truth, if the folder has it.
     speed : float, > 0
         Initial factor on real time.
-    edits_graph : bool
-        Whether the pose graph in the folder is shown instead, and viewers may edit it.
     is_editable : bool
         Whether the page shows the tools by which the map is edited.
     shown : StaticView, optional
@@ -56,23 +48,17 @@ class Replay:
     def __init__(
         self,
         folder: str | Path,
-        beside: str | Path | None = None,
         speed: float = 10.0,
         is_editable: bool = False,
         *,
-        edits_graph: bool = False,
         shown: StaticView | None = None,
     ) -> None:
         """Read the folder."""
-        self._out = out = Path(folder)
+        out = Path(folder)
         with stay_below(out):
             results, title, self.messages = read_results(out) if shown is None else (shown, out.name, [])
             self.history = read_optional_history(out) if shown is None else None
-        sessions = _find_sessions(out) if shown is None else []
-        self.editor = EditedGraph(out, [out / name for name in sessions]) if edits_graph else None
-        if self.editor is not None:
-            results = self.editor.results
-            self.history = None
+            self.truth = read_truth(out, results.trajectory) if shown is None else NO_POINTS
         self.results = results
         if results.missing:
             messages = Messages(lambda level, text: None)
@@ -80,15 +66,7 @@ class Replay:
             self.messages = [*messages.to_list(), *self.messages]
         mode = "still" if isinstance(results, StaticView) else "replay"
         self.speed = speed
-        self.beside = read_beside(out, None if beside is None else Path(beside), results.trajectory)
-        self._session = sessions[0] if sessions else None
-        found = {
-            "other": self.beside.grid is not None,
-            "truth": len(self.beside.path) > 0,
-            "session": self._session is not None,
-            "edits": is_editable,
-            "scan": self.editor is not None,
-        }
+        found = {"truth": len(self.truth) > 0, "edits": is_editable}
         if self.history is not None:
             found |= dict.fromkeys(("scan", "particles"), True)
         self.past_maps = PastMaps(self.history or History())
@@ -98,32 +76,11 @@ class Replay:
             *(name for name, is_found in found.items() if is_found and name not in results.layers),
         )
         self.run_info = make_run_info(title, mode, layers, results.step, results.grid)
-        self.run_info["truth"] = self.beside.name
-        self.run_info["edits_graph"] = edits_graph
-        self.other: TileReplica | None = None
-        if self.beside.grid is not None:
-            self.other = TileReplica.of(self.beside.grid)
-            grid = self.beside.grid
-            self.run_info["other"] = {"resolution_m": grid.resolution_m, "offset_m": tile_offset(grid)}
         self.replica = TileReplica() if self.results.grid is None else TileReplica.of(self.results.grid)
 
     def add_viewer(self, notify: Callable[[], None]) -> ReplayViewer:
         """Add a viewer at the end of the run; `notify` is never called, as the content does not change."""
         return ReplayViewer(self)
-
-    def edit(self, edit: Callable[[EditedGraph], None]) -> None:
-        """Edit the pose graph, for all who look at it; raises as `EditedGraph`, and nothing has changed then."""
-        editor = self.require_editor()
-        edit(editor)
-        self.results = editor.results
-        if self.results.grid is not None:
-            self.replica = TileReplica.of(self.results.grid)
-
-    def require_editor(self) -> EditedGraph:
-        """Return the pose graph that viewers may edit; raises ArgumentError where they may not."""
-        if self.editor is None:
-            raise ArgumentError("do", "something else, as this graph may not be edited (view --edit-graph)", "an edit")
-        return self.editor
 
     def channel_map(self, channel: int) -> OccupancyGrid | None:
         """Return the map, which all channels share."""
@@ -132,21 +89,6 @@ class Replay:
     def trajectory(self, channel: int) -> Trajectory | None:
         """Return the trajectory, which all channels share."""
         return self.results.trajectory
-
-    def open_session(self) -> IO[bytes] | None:
-        """Open the newest session file of the folder; return None without one."""
-        if self._session is None:
-            return None
-        with stay_below(self._out):
-            return open_for_reading(self._out / self._session)
-
-
-def _find_sessions(folder: Path) -> list[str]:
-    """Return the names of the sessions in a folder, the newest first, without those that are links."""
-    with os.scandir(folder) as entries:
-        found = [(entry.stat(follow_symlinks=False).st_mtime, entry.name) for entry in entries if
-                 entry.name.endswith(".gridslam") and entry.is_file(follow_symlinks=False)]  # fmt: skip
-    return [name for _, name in sorted(found, reverse=True)]
 
 
 @final
@@ -166,8 +108,6 @@ class ReplayViewer:
         self._playing = False
         self._reader = None if replay.history is None else PastReader(replay.history, replay.past_maps)
         self._past: Past | None = None
-        self._answer = ""
-        self._overlay: Overlay | None = None
         self._look()
 
     def next_message(self) -> bytes | None:
@@ -195,30 +135,8 @@ class ReplayViewer:
                 self._speed = check_speed(command["factor"]) or self._speed
             case "select" if command["particle"] is None:
                 pass  # of who has chosen a particle before the run has finished
-            case "look" | "grab" | "put" | "edit":
-                self._edit(self._replay.require_editor(), command)
             case what:
-                raise ArgumentError("do", "pause, resume, step, seek, speed, look, grab, put or edit", what)
-
-    def _edit(self, editor: EditedGraph, command: Mapping[str, Any]) -> None:
-        """Look at an edge, put a scan on another place, or edit the graph; a failure is answered."""
-        overlay, self._overlay, self._answer = self._overlay, None, ""
-        try:
-            if command["do"] == "look":
-                self._overlay = None if command["edge"] is None else editor.look(command["edge"])
-            elif command["do"] == "grab":
-                self._overlay = editor.grab(command["at"])
-            elif command["do"] == "put":
-                self._overlay = editor.put(command["from"], command["to"])
-            elif command["edit"] == "add":
-                proposed = None if overlay is None else overlay.proposed
-                self._replay.edit(lambda graph: graph.add(proposed))
-            elif command["edit"] == "undo":
-                self._replay.edit(EditedGraph.undo)
-            else:
-                self._replay.edit(lambda graph: graph.reject(command["edit"]))
-        except GridslamError as error:
-            self._answer, self._overlay = f"nothing has changed: {error}", overlay
+                raise ArgumentError("do", "pause, resume, step, seek or speed", what)
 
     def close(self) -> None:
         """Do nothing: the replay keeps no list of viewers."""
@@ -258,9 +176,6 @@ class ReplayViewer:
 
     def _scene(self) -> Scene:
         results = self._results
-        if results is not self._replay.results:  # anyone may have edited it
-            results = self._results = self._replay.results
-            self._frame, self._overlay = results.frame(0), None
         status = {
             **results.status(self._at, self._time_s),
             "at": self._at,
@@ -269,7 +184,6 @@ class ReplayViewer:
             "total_s": float(results.times_s[-1]),
             "speed": self._speed,
             "selected_particle": None,
-            "answer": self._answer,
         }
         if self._playing:
             status["stage"] = "looking" if status.get("looking") else "lost" if status.get("lost") else "running"
@@ -282,20 +196,15 @@ class ReplayViewer:
             if isinstance(results, MappedRun):
                 replica = self._reader.replica
                 status |= {"past": True, "pose": past.pose.tolist()}
-        overlay = self._overlay
-        if overlay is not None:
-            status |= {"overlay": overlay.describe(), "scan_pose": overlay.pose.tolist()}
         return Scene(
             self._replay.run_info,
             status,
             replica,
             self._frame,
             results.series,
-            overlay.newer if overlay is not None else NO_POINTS if past is None else past.scan,
+            NO_POINTS if past is None else past.scan,
             plan=results.path,
             landmarks=results.landmarks,
-            truth=self._replay.beside.path,
-            other=self._replay.other,
+            truth=self._replay.truth,
             messages=self._replay.messages,
-            older=NO_POINTS if overlay is None else overlay.older,
         )

@@ -213,10 +213,6 @@ class StaticView:
             "residuals": [[*pair, round(off, 3)] for pair, off in listed][:_MOST_RESIDUALS],
         }
 
-    def add_status(self, values: dict[str, Any]) -> None:
-        """Add values for the page."""
-        self._status |= values
-
     def frame(self, at: int) -> Frame:
         """Return the only frame."""
         return self._frame

@@ -5,16 +5,14 @@ from __future__ import annotations
 import math
 from collections import deque
 from collections.abc import Callable, Mapping, Sequence
-from pathlib import Path
-from typing import IO, Any, final
+from typing import Any, final
 
 import numpy as np
 
 from gridslam.errors import ArgumentError
 from gridslam.geometry.angles import wrap
-from gridslam.io.text import open_for_reading
 from gridslam.live.ancestry_tree import NO_POINTS, Float32Array
-from gridslam.live.control import LOCATING, Control, RobotControl, check_particle, check_speed
+from gridslam.live.control import Control, check_particle, check_speed
 from gridslam.live.history import History, PastMaps
 from gridslam.live.holds import Holds
 from gridslam.live.monitor import BEST
@@ -39,20 +37,24 @@ class LiveRun:
     ----------
     title : str
         Title of the page.
-    control : Control or RobotControl
+    control : Control
         Target of the viewers' pause, step and speed.
     range_max_m : float, m
         Beams of this range or more are not displayed.
     known : OccupancyGrid, optional
         The known map of a localization.
+    is_robot : bool
+        Whether a robot is shown, which cannot be paused or delayed.
     """
 
     def __init__(
         self,
         title: str,
-        control: Control | RobotControl,
+        control: Control,
         range_max_m: float = math.inf,
         known: OccupancyGrid | None = None,
+        *,
+        is_robot: bool = False,
     ) -> None:
         """Start before the first snapshot."""
         self.observer: LiveObserver  # set before there are viewers
@@ -64,10 +66,8 @@ class LiveRun:
         self.holds = Holds(control)
         self._channels = 0
         self._messages: Sequence[Mapping[str, Any]] = ()
-        self._answer = ""
-        self._asked_at = 0  # scans by then
+        self.is_robot = is_robot
         self._state: tuple[str, str] | None = None  # of a node: name and text
-        self._session: Path | None = None
         self._goes_on: dict[str, Any] | None = None
         self._past: tuple[History, PastMaps] | None = None
         self.replay: Replay | None = None
@@ -75,14 +75,11 @@ class LiveRun:
 
     def reset(self) -> None:
         """Start before the first snapshot of a session, with an empty map or the known one."""
-        mode = "live" if isinstance(self.control, Control) else "robot"
+        mode = "robot" if self.is_robot else "live"
         if self._known is None:
             self._run_info = make_run_info(self._title, mode, _LIVE_SLAM)
         else:
             self._run_info = make_run_info(self._title, mode, _LIVE_LOCALIZATION, "update", self._known)
-        self._run_info = self._add_session(self._run_info)
-        if isinstance(self.control, RobotControl):
-            self._run_info["commands"] = self.control.commands.names
         self._replicas = {BEST: TileReplica() if self._known is None else TileReplica.of(self._known)}
         self._rows = {BEST: 0}
         self._stage = "waiting"
@@ -112,7 +109,6 @@ class LiveRun:
         if snapshot.scan is not None and snapshot.scan is not self._last_scan:
             self._last_scan = snapshot.scan
             self._scan = snapshot.scan.beams(0.05, self._range_max_m).ends.astype(np.float32)
-        self.holds.update()
         self._update_status(snapshot)
 
     def finish(self, grid: OccupancyGrid, poses: FloatArray, closures: FloatArray) -> None:
@@ -138,11 +134,6 @@ class LiveRun:
         """Show the state of a node, by its name and in words, until the next one."""
         self._state = name, text
         self.notify_viewers()
-
-    def answer(self, text: str) -> None:
-        """Show the outcome of a robot command to all viewers; thread-safe."""
-        self._answer = text
-        self._asked_at = self._status["scans"]
 
     def add_viewer(self, notify: Callable[[], None]) -> LiveViewer:
         """Add a viewer; `notify` is called whenever there may be something new."""
@@ -183,29 +174,12 @@ class LiveRun:
         known = np.isfinite(poses[: len(stamps_ns), 0])
         return Trajectory(stamps_ns[known], poses[: len(stamps_ns)][known]) if known.any() else None
 
-    def open_session(self) -> IO[bytes] | None:
-        """Open the session file that a later run can continue; return None if this one offers none."""
-        if self._session is not None:
-            return open_for_reading(self._session)
-        return None if self.replay is None else self.replay.open_session()
-
-    def offer_session(self, path: Path) -> None:
-        """Let viewers download the session file that a later run can continue."""
-        if self._session != path:
-            self._session = path
-            self._run_info = self._add_session(self._run_info)
-            self.notify_viewers()
-
     def show_session(self, name: str, drives: Sequence[str]) -> None:
         """Show the session that the run continues: the name of its file, and its drives."""
         goes_on = {"name": name, "drives": list(drives)}
         if goes_on != self._goes_on:
             self._goes_on = goes_on
             self.notify_viewers()
-
-    def _add_session(self, run_info: dict[str, Any]) -> dict[str, Any]:
-        """Add the session to the downloads, if it is offered."""
-        return run_info if self._session is None else {**run_info, "layers": (*run_info["layers"], "session")}
 
     def open_channel(self, particle: int) -> int:
         """Open a channel for the map of a particle; raises ArgumentError if there is none, or too many are open."""
@@ -233,7 +207,6 @@ class LiveRun:
             **self._status,
             "stage": stage,
             "state": text,
-            "answer": self._answer,
             "goes_on": self._goes_on,
             "speed": self.control.speed,
             "viewers": len(self._viewers),
@@ -262,7 +235,7 @@ class LiveRun:
             return self._stage, ""
         if self.control.paused:
             return "paused", ""
-        if self._state is not None and self._state[0] != "paused":
+        if self._state is not None:
             return self._state
         if self._stage == "running" and self._status.get("lost"):
             return ("looking" if self._status.get("looking") else "lost"), ""
@@ -352,8 +325,6 @@ class LiveRun:
             **snapshot.view.status,
             **rates,
         }
-        if self._answer == LOCATING and not report.lost and snapshot.scans > self._asked_at:
-            self._answer = ""
         self.notify_viewers()
 
 
@@ -387,6 +358,8 @@ class LiveViewer:
             return
         run = self._run
         match command["do"]:
+            case "pause" | "resume" | "step" | "speed" as what if run.is_robot:
+                raise ArgumentError("do", "seek or select, as a robot drives on", what)
             case "pause":
                 run.holds.pause(self)
             case "resume":
@@ -399,17 +372,9 @@ class LiveViewer:
                 self._select(command["particle"])
             case "seek":
                 self._seek(int(command["at"]))
-            case "robot":
-                self._command_robot(command)
             case what:
-                raise ArgumentError("do", "pause, resume, step, seek, speed, select or robot", what)
+                raise ArgumentError("do", "pause, resume, step, seek, speed or select", what)
         run.notify_viewers()
-
-    def _command_robot(self, command: Mapping[str, Any]) -> None:
-        control = self._run.control
-        if not isinstance(control, RobotControl):
-            raise ArgumentError("do", "a command for a log", "robot")
-        control.execute(command, self._run.answer)
 
     def close(self) -> None:
         """Remove the viewer."""

@@ -82,13 +82,9 @@ class Scene(NamedTuple):
     selected : (T, 2) float32, m
         The path of the selected particle in full; empty if none is selected.
     truth : (P, 2) float32, m
-        The true path of the robot, or another run's; empty if unknown.
-    other : TileReplica, optional
-        Another map to compare with.
+        The true path of the robot; empty if unknown.
     messages : sequence of dict
         What was reported so far (`gridslam.messages.Messages.to_list`).
-    older : (K, 2) float32, m
-        End points of a scan, map frame, that the current one is laid on.
     """
 
     run_info: dict[str, Any]
@@ -101,9 +97,7 @@ class Scene(NamedTuple):
     landmarks: Float32Array = NO_LANDMARKS
     selected: Float32Array = NO_POINTS
     truth: Float32Array = NO_POINTS
-    other: TileReplica | None = None
     messages: Sequence[Mapping[str, Any]] = ()
-    older: Float32Array = NO_POINTS
 
 
 def make_run_info(
@@ -165,8 +159,6 @@ class SentState:
         if scene.messages != self._messages:
             header["messages"] = self._messages = scene.messages
         self._add_tiles("", scene.replica, header, arrays)
-        if scene.other is not None:
-            self._add_tiles("other_", scene.other, header, arrays)
         self._add_rows("path", scene.frame.path, header, arrays)
         self._add_rows("selected", scene.selected, header, arrays)
         self._add_rows("series", scene.series, header, arrays)
@@ -175,7 +167,6 @@ class SentState:
             {"particles": scene.frame.particles},
             {"closures": scene.frame.closures},
             {"scan": scene.scan},
-            {"older": scene.older},
             {"plan": scene.plan},
             {"landmarks": scene.landmarks},
             {"truth": scene.truth},

@@ -132,39 +132,6 @@ class Ancestry:
         only: FloatArray = self._trajectories(self._leaves[particle : particle + 1])[0]
         return only
 
-    def newest_positions(self, particle: int, known: FloatArray) -> tuple[int, FloatArray]:
-        """Return the positions of one particle's past that differ from an earlier answer, walking back to it.
-
-        Parameters
-        ----------
-        particle : int
-            In [0, N).
-        known : (K, 2) float64, m
-            Positions of an earlier past, from step 0 on.
-
-        Returns
-        -------
-        first : int
-            Number of steps that are the same.
-        positions : (T - first, 2) float64, m
-            The positions of the steps after them.
-        """
-        start = len(self._trunk) // self._width
-        place = int(self._leaves[particle])
-        rows: list[tuple[float, float]] = []
-        for k in range(len(self._levels) - 1, -1, -1):
-            poses, parents, _ = self._levels[k]
-            x, y = poses.item(place, 0), poses.item(place, 1)
-            if start + k < len(known) and x == known.item(start + k, 0) and y == known.item(start + k, 1):
-                return start + k + 1, np.array(rows[::-1]).reshape(-1, 2)
-            rows.append((x, y))
-            place = parents.item(place)
-        trunk = self._trunk_poses[:, :2]
-        count = min(len(trunk), len(known))
-        differs = (trunk[:count] != known[:count]).any(axis=1)
-        first = count if not differs.any() else int(np.argmax(differs))
-        return first, np.concatenate([trunk[first:], np.array(rows[::-1]).reshape(-1, 2)])
-
     def trajectories(self) -> FloatArray:
         """Return poses (N, T, 3) of all particles."""
         return self._trajectories(self._leaves)

@@ -79,13 +79,12 @@ def read_source(
 
 
 def _read_session(path: Path, floor: str | None) -> MapSource:
-    """A map of a session, with its edits, and the end points of its key scans."""
+    """A map of a session, and the end points of its key scans."""
     session = Session.open(path)
     if not session.maps:
         raise InputError(path, "expected a session with a map, got one without a scan")
     number = session.find_map(floor or None)
     grid, piece = session.maps[number].whole(), session.pieces[number].piece
-    edits, _ = session.edits_of(number).split(session.edits)
 
     def scans() -> Iterator[tuple[FloatArray, FloatArray]]:
         for key, pose in enumerate(piece.poses):
@@ -93,7 +92,7 @@ def _read_session(path: Path, floor: str | None) -> MapSource:
             yield se2.transform_points(pose, scan.origin[None])[0], se2.transform_points(pose, scan.ends)
 
     name = f"{path.stem}, {session.names[number]}" if len(session.maps) > 1 else path.stem
-    return _apply(edits, _add_scans(MapSource(grid, name), scans()))
+    return _add_scans(MapSource(grid, name), scans())
 
 
 def _read_folder(out: Path, on_remark: Callable[[str], None]) -> MapSource:

@@ -38,7 +38,7 @@ def out(mapped):
 
 @pytest.fixture
 def page(browser, out):
-    with PageServer(Replay(out, is_editable=True), LiveOptions(port=0), edits=EditsFile.of_folder(out)) as server:
+    with PageServer(Replay(out, is_editable=True), LiveOptions(port=0), edits=EditsFile(out)) as server:
         browser.get(server.url)
         wait(lambda: told(browser).get("features") == "0" and told(browser).get("tiles", "0") != "0", "the editor")
         yield browser
@@ -105,16 +105,12 @@ def test_all_that_is_drawn_is_in_the_file_where_it_is_seen(page, out, screenshot
     click(page, "edit-rooms")
     name = page.find_element("id", "edit-name")
     name.clear()
-    name.send_keys("Küche")
-    _pointer(page, (700, 400))
-    click(page, "edit-links")
-    name.clear()
     name.click()
-    _keys(page, "Lift 1")  # letters that are keys of the page and of other tools
-    _pointer(page, (620, 480), (620, 430), drag=True)
+    _keys(page, "Küche, Lager 1")  # letters that are keys of the page and of other tools
+    _pointer(page, (700, 400))
     screenshot("drawn")
-    edits = _saved(page, out, 5)
-    wall, zone, slow, room, lift = edits.edits
+    edits = _saved(page, out, 4)
+    wall, zone, slow, room = edits.edits
     near = {"abs": 2.0 / view(page)[2]}
     assert (wall.layer, wall.width_m) == ("walls", 0.1)
     assert wall.points == pytest.approx(np.array([_world(page, 410, 300), _world(page, 520, 380)]), **near)
@@ -123,13 +119,10 @@ def test_all_that_is_drawn_is_in_the_file_where_it_is_seen(page, out, screenshot
     assert slow.limits == {"limit_percent": 50.0}
     size = np.ptp(slow.points, axis=0) * view(page)[2]
     assert size == pytest.approx([80, 70], abs=3)
-    assert (room.name, room.geometry) == ("Küche", "Point")
-    assert (lift.layer, lift.name) == ("links", "Lift 1")
-    assert lift.points == pytest.approx(np.array([_world(page, 620, 480), _world(page, 620, 430)]), **near)
-    assert all(edit.anchor is not None for edit in edits.edits)
+    assert (room.name, room.geometry) == ("Küche, Lager 1", "Point")
     assert edits.map_name == "map.yaml"
     page.refresh()
-    wait(lambda: told(page).get("features") == "5", "the edits again")
+    wait(lambda: told(page).get("features") == "4", "the edits again")
 
 
 def test_a_zone_is_selected_moved_removed_and_all_of_it_undone(page, out, screenshot):
@@ -198,9 +191,7 @@ def test_a_map_without_a_run_has_the_tools_as_well(browser, out, tmp_path):
     (tmp_path / "run.json").write_text(json.dumps({"schema": "gridslam.grid/1"}))
     for name in ("map.yaml", "map.pgm"):
         shutil.copy(out / name, tmp_path)
-    with PageServer(
-        Replay(tmp_path, is_editable=True), LiveOptions(port=0), edits=EditsFile.of_folder(tmp_path)
-    ) as server:
+    with PageServer(Replay(tmp_path, is_editable=True), LiveOptions(port=0), edits=EditsFile(tmp_path)) as server:
         browser.get(server.url)
         wait(lambda: told(browser).get("features") == "0", "the editor")
         assert shown(browser, "edit")
@@ -226,10 +217,10 @@ def _ask(server, method, headers=None, body=None):
 
 
 def test_who_has_not_seen_the_newest_edits_replaces_none(out):
-    with PageServer(Replay(out, is_editable=True), LiveOptions(port=0), edits=EditsFile.of_folder(out)) as server:
+    with PageServer(Replay(out, is_editable=True), LiveOptions(port=0), edits=EditsFile(out)) as server:
         status, text, tag = _ask(server, "GET")
         assert status == 200
-        x, y = EditsFile.of_folder(out)._grid.origin
+        x, y = EditsFile(out)._grid.origin
         room = {"type": "Feature", "properties": {"layer": "rooms", "name": "a"}}
         room["geometry"] = {"type": "Point", "coordinates": [x + 1, y + 1]}
         body = json.dumps(json.loads(text) | {"features": [room]})
@@ -249,7 +240,7 @@ def test_who_has_not_seen_the_newest_edits_replaces_none(out):
 def test_a_damaged_file_is_refused_before_the_page_opens(out):
     (out / "edits.geojson").write_text("{")
     with pytest.raises(InputError, match=r"edits\.geojson"):
-        EditsFile.of_folder(out)
+        EditsFile(out)
 
 
 LARGE_MAP = """
@@ -258,17 +249,16 @@ LARGE_MAP = """
           async ([{ Editor }, { Camera }, { TileMap, palette }, { Drawing }]) => {
           const canvas = document.createElement("canvas");
           [canvas.width, canvas.height] = [1400, 900];
-          const camera = new Camera(canvas), map = new TileMap(), none = new Float32Array(0), other = new TileMap();
+          const camera = new Camera(canvas), map = new TileMap(), none = new Float32Array(0);
           Object.defineProperties(camera, { width: { value: 1400 }, height: { value: 900 } });
           map.colour(palette("#ccc", "#fff", "#000"));
-          other.colour(palette("#ccc", "#fff", "#000"));
           const tile = new Uint8Array(512).map((_, k) => (k % 16 ? 0x11 : 0xff)), at = [];
           for (let row = 0; row < 157; row++) for (let column = 0; column < 313; column++) at.push(row, column);
           const data = new Uint8Array(256 * at.length);
           for (let k = 0; k < data.length; k += 512) data.set(tile, k);
           map.put(at, data);
           const parts = ["truth", "path", "particles", "closures", "landmarks", "scan", "tree"];
-          const world = { map, other, status: {}, ...Object.fromEntries(parts.map((part) => [part, none])) };
+          const world = { map, status: {}, ...Object.fromEntries(parts.map((part) => [part, none])) };
           const drawing = new Drawing(canvas, world, camera);
           for (const name of Object.keys(drawing.shown)) drawing.shown[name] = name === "map";
           const editor = (drawing.editor = new Editor(camera, () => {}));

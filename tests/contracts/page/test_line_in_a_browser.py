@@ -6,7 +6,6 @@ from dataclasses import replace
 import numpy as np
 
 from gridslam.config import build
-from gridslam.live.control import RobotControl
 from gridslam.live.options import LiveOptions
 from gridslam.live.page import LivePage
 from gridslam.messages import Level, Messages
@@ -103,12 +102,10 @@ def test_a_page_that_is_open_to_others_wants_its_token(browser, drive, screensho
         wait(lambda: list(browser.downloads.glob("*.zip")), "the map is saved")
 
 
-def test_a_robot_is_paused_but_not_held_and_what_is_wrong_is_read(browser, drive, screenshot):
+def test_a_robot_is_not_held_up_and_what_is_wrong_is_read(browser, drive, screenshot):
     from selenium.webdriver import Keys
 
-    paused = []
-    control = RobotControl(lambda: bool(paused) and paused[-1], paused.append)
-    with LivePage("ROS 1", LiveOptions(port=0), range_max_m=30.0, robot=control) as page:
+    with LivePage("ROS 1", LiveOptions(port=0), range_max_m=30.0, is_robot=True) as page:
         browser.get(page.url)
         wait(lambda: told(browser).get("stage") == "waiting", "the page is connected")
 
@@ -137,18 +134,12 @@ def test_a_robot_is_paused_but_not_held_and_what_is_wrong_is_read(browser, drive
         browser.find_element("css selector", "#notice button").click()
         wait(lambda: not shown(browser, "notice"), "it is put away")
         buttons = "pause", "step", "speed", "line", "follow"
-        assert [name for name in buttons if shown(browser, name)] == ["pause", "line", "follow"]
+        assert [name for name in buttons if shown(browser, name)] == ["line", "follow"]
         browser.find_element("tag name", "body").send_keys(".")  # the key for a step does nothing
         browser.find_element("tag name", "body").send_keys(Keys.HOME)
         wait(lambda: told(browser)["at"] == "0", "the first key scan")
         browser.find_element("tag name", "body").send_keys(Keys.END)
         wait(lambda: told(browser)["at"] == "", "the present")
-        click(browser, "pause")
-        wait(lambda: told(browser)["stage"] == "paused", "paused")
-        screenshot("paused")
-        click(browser, "pause")
-        wait(lambda: told(browser)["stage"] == "running", "it goes on")
-        assert paused == [True, False]
         mapped(drive[60:64])
         wait(lambda: told(browser)["session"] != session, "another session")
         wait(lambda: int(told(browser)["tiles"]) > 0, "its map")
@@ -158,7 +149,7 @@ def test_a_robot_is_paused_but_not_held_and_what_is_wrong_is_read(browser, drive
 def test_what_was_put_away_stays_so_however_often_it_comes(browser):
     """After a reload, too; another message is shown."""
     messages = Messages(lambda level, text: None)
-    with LivePage("ROS 1", LiveOptions(port=0), robot=RobotControl(lambda: False, lambda paused: None)) as page:
+    with LivePage("ROS 1", LiveOptions(port=0), is_robot=True) as page:
         for _ in range(2):
             messages("two transforms", "odom is published twice")
             page.show_messages(messages.to_list())
@@ -187,7 +178,7 @@ def test_a_long_list_of_messages_is_scrolled_by_keys(browser):
     messages = Messages(lambda level, text: None)
     for letter in "abcdefghijklmnopqrstuvwxyz":
         messages(f"problem {letter}", "a sentence about it")
-    with LivePage("ROS 1", LiveOptions(port=0), robot=RobotControl(lambda: False, lambda paused: None)) as page:
+    with LivePage("ROS 1", LiveOptions(port=0), is_robot=True) as page:
         page.show_messages(messages.to_list())
         browser.get(page.url)
         wait(lambda: shown(browser, "messages"), "the list")

@@ -7,7 +7,6 @@ import numpy as np
 import pytest
 
 from gridslam.config import build
-from gridslam.live.control import RobotCommands, RobotControl
 from gridslam.live.options import LiveOptions
 from gridslam.live.page import LivePage
 from gridslam.messages import Messages
@@ -102,12 +101,10 @@ def test_the_whole_map_is_that_of_the_robot_not_of_strays(browser, finished):
 @pytest.mark.parametrize("size", [(1440, 900), (1366, 768)], ids=["desktop", "laptop"])
 def test_what_can_be_saved_is_never_cut_off_and_a_selection_shifts_nothing(browser, drive, size, screenshot):
     screen = {"width": size[0], "height": size[1], "deviceScaleFactor": 1, "mobile": False}
-    commands = RobotCommands(lambda pose: None, lambda: None, lambda: None, *[lambda session: (True, "")] * 5)
-    robot = RobotControl(lambda: False, lambda paused: None, commands)
     messages = Messages(lambda level, text: None)
     messages("late scans", "by 2 s")
     with (
-        LivePage("robot", LiveOptions(port=0), range_max_m=30.0, robot=robot) as page,
+        LivePage("robot", LiveOptions(port=0), range_max_m=30.0, is_robot=True) as page,
         emulated(browser, screen, "light"),
     ):
         page.show_messages(messages.to_list())
@@ -126,7 +123,7 @@ def test_what_can_be_saved_is_never_cut_off_and_a_selection_shifts_nothing(brows
         assert browser.execute_script(tops) == before
         inside = (
             "const box = (part) => document.querySelector(part).getBoundingClientRect();"
-            "const save = box('#save-robot').bottom;"
+            "const save = box('#save-picture').bottom;"
             "return save <= box('#panel').bottom && save <= box('#transport').top"
         )
         assert browser.execute_script(inside)

@@ -171,3 +171,28 @@ def test_several_look_at_one_run_each_as_it_likes(browser, drive):
         wait(lambda: page.viewers == 1, "one has gone")
         page.control.end()
         mapping.join(PATIENCE_S)
+
+
+def test_the_past_of_a_running_filter(browser, drive, screenshot):
+    """The time line goes back, and to the present again."""
+    from selenium.webdriver import ActionChains, Keys
+
+    with LivePage("loop.clf", LiveOptions(port=0), range_max_m=30.0) as page:
+        browser.get(page.url)
+        Mapping(page, drive[:150]).join(PATIENCE_S)
+        wait_for_all(browser)
+        tiles = int(told(browser)["tiles"])
+        keys = int(told(browser)["keys"])
+        ActionChains(browser).send_keys(Keys.HOME).perform()
+        wait(lambda: told(browser)["at"] == "0", "the beginning")
+        wait(lambda: int(told(browser)["tiles"]) < tiles, "the map was smaller")
+        assert "as it was" in text(browser, "#stage")
+        screenshot("beginning")
+        ActionChains(browser).send_keys(Keys.ARROW_RIGHT, Keys.ARROW_RIGHT).perform()
+        wait(lambda: told(browser)["at"] == "2", "two key scans on")
+        browser.find_element("id", "n_eff").click()
+        wait(lambda: 0.2 * keys < int(told(browser)["at"] or 0) < 0.8 * keys, "where the chart was clicked")
+        screenshot("middle")
+        ActionChains(browser).send_keys(Keys.END).perform()
+        wait(lambda: told(browser)["at"] == "", "the present")
+        wait(lambda: int(told(browser)["tiles"]) == tiles, "all of the map")

@@ -10,18 +10,14 @@ import numpy as np
 import pytest
 
 import gridslam
-from gridslam.api import session_edits as sessions_module
 from gridslam.api.beginning import Beginning, begin_new_piece
-from gridslam.api.session_edits import EditsBefore, find_edits
 from gridslam.config import override
-from gridslam.errors import ArgumentError, InputError, OutputError
-from gridslam.geometry.se2 import between, compose, inverse, transform_points
+from gridslam.errors import ArgumentError, InputError
+from gridslam.geometry.se2 import between, compose
 from gridslam.io.csv import write_csv_log
-from gridslam.io.edits import Edit, Edits, read_edits, write_edits
 from gridslam.io.measurement import Measurement
 from gridslam.io.sessions.drives import SavedPiece
 from gridslam.sim import LidarConfig, OdometryNoise, RobotConfig, make_world, simulate
-from gridslam.types import Trajectory
 
 CONFIG = override(gridslam.Configuration(), "particles=5")
 CUTS = (0, 111, 200, 280)
@@ -207,129 +203,6 @@ def test_bad_calls_are_refused(one_day, tmp_path):
         gridslam.Session(CONFIG).add(one_day[0].parent / "monday.csv", pose=(0, 0, 0))
 
 
-ZONE = np.array([[0.5, 0.5], [1.5, 0.5], [1.5, 1.5], [0.5, 1.5]])
-"""A zone beside the robot, in its frame at a scan."""
-SCANS = (40, 250, 400)
-"""Of the first day, beside which a zone is drawn each."""
-
-
-def lie(path, truth, zones):
-    """Where zones of the building (K, 4, 2), true frame, lie in the map in which a drive has this trajectory."""
-    placed = []
-    for zone in zones:
-        nearest = int(np.hypot(*(truth.poses[:, :2] - zone.mean(axis=0)).T).argmin())
-        at = int(np.searchsorted(path.stamps_ns, truth.stamps_ns[nearest]))
-        placed.append(transform_points(compose(path.poses[at], inverse(truth.poses[nearest])), zone))
-    return np.array(placed)
-
-
-@pytest.fixture
-def edited(first, one_day, tmp_path):
-    """A copy of the first day's session, with a zone beside three of its scans, which follow others; and the zones."""
-    path = tmp_path / "edited" / "building.gridslam"
-    path.parent.mkdir()
-    path.write_bytes(one_day[0].read_bytes())
-    zones = np.array([transform_points(first.truth[k], ZONE) for k in SCANS])
-    truth = Trajectory(np.array([m.scan.stamp_ns for m in first.measurements]), first.truth)
-    drawn = lie(one_day[1].trajectory, truth, zones)
-    write_edits(find_edits(path), Edits(tuple(Edit("keep_out", "Polygon", zone) for zone in drawn), path.name))
-    return path, zones, truth
-
-
-def off_m(session, zones, truth):
-    """How far the edits of a session are from where the building is now, m."""
-    assert [edit.drive for edit in session.edits.edits] == ["monday"] * len(zones)
-    expected = lie(session.trajectories["monday"], truth, zones)
-    return np.abs(np.array([edit.points for edit in session.edits.edits]) - expected).max()
-
-
-def test_edits_stay_where_the_building_is_over_days_and_robots(second, edited, tmp_path):
-    path, zones, truth = edited
-    session = gridslam.Session.open(path)
-    assert off_m(session, zones, truth) < 5e-3  # between key scans a trajectory is millimetres from its piece's
-    before = session.edits.edits[1].points
-    session.add(write(tmp_path, "tuesday", moved(second.measurements)))
-    late = Edit("rooms", "Point", ZONE[:1], "drawn while the robot drives")
-    write_edits(find_edits(path), Edits((*read_edits(find_edits(path)).edits, late)))
-    session.save()
-    again = gridslam.Session.open(path)
-    assert again.edits.edits[3].name == late.name
-    write_edits(find_edits(path), Edits(again.edits.edits[:3]))
-    assert off_m(again, zones, truth) < 0.05
-    other = gridslam.Session(CONFIG)
-    other.add(write(tmp_path, "annex", moved(second.measurements, later_s=200_000)))
-    other.save(tmp_path / "annex.gridslam")
-    annex = Edit("no_go", "LineString", ZONE[:2], width_m=0.1)
-    write_edits(find_edits(tmp_path / "annex.gridslam"), Edits((annex,)))
-    merged = gridslam.Session.open(tmp_path / "annex.gridslam")  # the other one's frame comes first
-    merged.merge(again)
-    assert len(merged.pieces) == 1
-    merged.save(tmp_path / "merged.gridslam")
-    whole = gridslam.Session.open(tmp_path / "merged.gridslam")
-    line, *kept = whole.edits.edits
-    assert (line.layer, line.drive) == ("no_go", "annex")
-    write_edits(find_edits(tmp_path / "merged.gridslam"), Edits(tuple(kept)))
-    assert off_m(whole, zones, truth) < 0.05
-    assert np.abs(whole.edits.edits[1].points - before).max() > 1e-4  # the map has moved there
-
-
-class KilledError(Exception):
-    """The process ends here."""
-
-
-def test_a_kill_between_edits_and_session_leaves_both_as_they_fit(second, edited, tmp_path, monkeypatch):
-    path, zones, truth = edited
-    session = gridslam.Session.open(path)
-    session.add(write(tmp_path, "tuesday", moved(second.measurements[:150])))
-
-    def kill(*arguments):
-        raise KilledError
-
-    was = find_edits(path).read_bytes()
-    monkeypatch.setattr(sessions_module, "write_session", kill)
-    with pytest.raises(KilledError):
-        session.save()
-    assert find_edits(path).read_bytes() != was
-    assert off_m(gridslam.Session.open(path), zones, truth) < 5e-3  # the session is that of before
-
-
-def test_an_edit_whose_scan_was_left_out_follows_the_nearest_that_is_left(tmp_path):
-    stamps_ns = np.arange(10) * 10**9
-    before = Trajectory(stamps_ns, np.column_stack([np.arange(10.0), np.zeros((10, 2))]))
-    far = Trajectory(stamps_ns, before.poses + np.array([0.0, 50.0, 0.0]))
-    turn = np.array([1.0, 2.0, 0.5])
-    left = np.array([0, 1, 2, 8, 9])
-    after = Trajectory(stamps_ns[left], compose(turn, before.poses[left]))
-    edit = Edit("keep_out", "Polygon", ZONE + np.array([4.5, 0.0]), anchor=np.array([5.0, 5.0, 0.0, 0.0]), drive="a")
-    write_edits(tmp_path / "edits.geojson", Edits((edit,)))
-    source = EditsBefore(tmp_path / "edits.geojson", ({"b": far}, {"a": before}))
-    (kept,) = source.keep([{"b": far}, {"a": after}])
-    assert kept.points == pytest.approx(transform_points(turn, edit.points))
-    assert (kept.drive, kept.anchor[0]) == ("a", 8.0)
-    (renamed,) = source.rename({"a": "b", "b": "c"}).rename({"b": "d"}).keep([{"d": after}])
-    assert renamed.drive == "d"
-    assert renamed.points == pytest.approx(kept.points)
-    (lost,) = source.keep([{"b": far}])
-    assert lost.to_feature() == edit.to_feature()
-
-
-def test_damaged_edits_are_refused_before_the_log_is_mapped_and_never_cost_a_session(first, edited, tmp_path):
-    path, *_ = edited
-    log = write(tmp_path, "wednesday", moved(first.measurements[:100]))
-    whole = find_edits(path).read_text()
-    find_edits(path).write_text(whole[:-20])
-    with pytest.raises(InputError, match=r"edits\.geojson"):
-        gridslam.Session.open(path).add(log)
-    find_edits(path).write_text(whole)
-    session = gridslam.Session.open(path)
-    session.add(log)
-    find_edits(path).write_text(whole[:-20])
-    with pytest.raises(OutputError, match="without its edits"):
-        session.save(tmp_path / "new.gridslam")
-    assert len([*gridslam.Session.open(tmp_path / "new.gridslam").saved.drives]) == 2
-    assert find_edits(path).read_text() == whole[:-20]
-
-
 def test_maps_of_other_floors_are_not_joined(first, one_day, tmp_path):
     """The same rooms again, which would be found: they are another floor's."""
     ground = gridslam.Session(CONFIG)
@@ -365,13 +238,3 @@ def test_the_next_drive_of_a_carried_robot_is_on_its_floor(first, one_day):
     assert begun.run.floor == "first"
     assert [own.floor for own in begun.pieces] == ["first", "ground"]
     assert begun.locator.pieces == [begun.pieces[0].piece]
-
-
-def test_edits_of_a_session_that_is_replaced_are_kept_under_another_name(first, edited, tmp_path):
-    path, *_ = edited
-    was = find_edits(path).read_bytes()
-    new = gridslam.Session(CONFIG)
-    new.add(write(tmp_path, "monday", first.measurements[:100]))
-    new.save(path)
-    assert new.edits.edits == ()
-    assert path.with_name("building-1.edits.geojson").read_bytes() == was

@@ -10,12 +10,10 @@ import pytest
 from scipy import ndimage
 
 from gridslam.errors import InputError
-from gridslam.geometry import se2
-from gridslam.io.edited_maps import MapEdits, anchor_edits, apply_edits, cells_of, read_edited_map
+from gridslam.io.edited_maps import apply_edits, cells_of, check_edits, compute_image_digest, read_edited_map
 from gridslam.io.edits import LAYERS, Edit, Edits, read_edits, write_edits
 from gridslam.io.maps import read_map, write_map
-from gridslam.io.trajectories import write_tum
-from gridslam.types import OccupancyGrid, Trajectory
+from gridslam.types import OccupancyGrid
 
 SQUARE = np.array([[1.0, 1.0], [3.0, 1.0], [3.0, 2.0], [1.0, 2.0]])
 LINE = np.array([[0.5, 0.5], [4.5, 2.5]])
@@ -30,11 +28,9 @@ def _draw_all():
                 layer,
                 kind,
                 places[kind],
-                "Küche" if layer in ("rooms", "links") else "",
-                0.25 if kind == "LineString" and layer != "links" else 0.0,
+                "Küche" if layer == "rooms" else "",
+                0.25 if kind == "LineString" else 0.0,
                 {"limit_percent": 30.0} if layer == "speed" else None,
-                np.array([12.5, 1.0, 2.0, 0.3]) if layer == "walls" else None,
-                "monday" if layer == "walls" else "",
             )
             for layer, kinds in LAYERS.items()
             for kind in kinds
@@ -97,11 +93,8 @@ RING = [[0, 0], [2, 0], [2, 2], [0, 2], [0, 0]]
         (_document("LineString", [[0, 0]], layer="walls"), "expected 2 to 1000 positions"),
         (_document("LineString", [[1, 1], [1, 1]], layer="walls"), "a line with a length"),
         (_document("LineString", [[0, 0], [1, 1]], layer="walls", width_m=0), "expected width_m from 0.01 to 10"),
-        (_document("LineString", [[0, 0], [1, 1]], layer="walls", anchor=[1]), "expected an anchor"),
         (_document("Point", [0, 0], layer="rooms"), "expected a name of 1 to 100"),
         (_document("Point", [0, 0], layer="rooms", name="a\nb"), "expected a name of 1 to 100"),
-        (_document("LineString", [[0, 0], [1, 1]], layer="links"), "expected a name of 1 to 100"),
-        (_document("LineString", [[0, 0], [1, 1]], layer="walls", drive=3), "expected the name of a drive"),
         (_document("Polygon", [RING], layer="speed"), "limit_percent or limit_m_s"),
         (_document("Polygon", [RING], layer="speed", limit_percent=3, limit_m_s=1), "limit_percent or limit_m_s"),
         (_document("Polygon", [RING], layer="speed", limit_percent=0), "limit_percent from 1 to 100"),
@@ -172,51 +165,28 @@ def test_erased_areas_are_free_and_walls_occupied_and_nothing_else_changes():
 
 @pytest.fixture
 def run(tmp_path):
-    """A map with its trajectory, and edits of it."""
+    """A folder with a map, and edits of it."""
     write_map(tmp_path / "map.yaml", _empty(rows=100, columns=140, origin=(-1.0, -1.0)))
-    poses = np.array([[0.0, 0.0, 0.0], [3.0, 2.0, 1.0], [4.5, 2.0, 2.0]])
-    trajectory = Trajectory(np.array([10, 20, 30], np.int64) * 10**9, poses)
-    write_tum(tmp_path / "trajectory.tum", trajectory)
-    of_map = MapEdits.of(tmp_path / "map.yaml")
-    drawn = anchor_edits(Edits((Edit("keep_out", "Polygon", SQUARE),), "map.yaml", of_map.sha256), of_map.trajectories)
+    drawn = Edits((Edit("keep_out", "Polygon", SQUARE),), "map.yaml", compute_image_digest(tmp_path / "map.yaml"))
     write_edits(tmp_path / "edits.geojson", drawn)
-    return tmp_path, trajectory
+    return tmp_path
 
 
-def test_edits_follow_their_scan_when_the_trajectory_is_corrected(run):
-    folder, trajectory = run
-    correction = np.array([0.4, -0.3, 0.25])
-    write_tum(folder / "trajectory.tum", Trajectory(trajectory.stamps_ns, se2.compose(correction, trajectory.poses)))
-    grid = _empty(rows=101, columns=140, origin=(-1.0, -1.0))
-    grid.log_odds[3, 3] = 4.0
-    write_map(folder / "map.yaml", grid)
-    carried = MapEdits.of(folder / "map.yaml").carry(read_edits(folder / "edits.geojson"), "edits.geojson", grid)
-    assert carried.edits[0].points == pytest.approx(se2.transform_points(correction, SQUARE), abs=1e-4)
-    again = MapEdits.of(folder / "map.yaml").carry(carried, "edits.geojson", grid)
-    assert again.to_text() == carried.to_text()
-
-
-def test_edits_of_another_map_are_refused(run):
-    folder, trajectory = run
-    edits = read_edits(folder / "edits.geojson")
-    grid = _empty(rows=101, columns=140, origin=(-1.0, -1.0))
-    write_map(folder / "map.yaml", grid)
-    write_tum(folder / "trajectory.tum", Trajectory(trajectory.stamps_ns + 10**10, trajectory.poses))
-    carried = MapEdits.of(folder / "map.yaml").carry(edits, "edits.geojson", grid)  # 20 s is still there
-    assert len(carried.edits) == 1
-    write_tum(folder / "trajectory.tum", Trajectory(trajectory.stamps_ns + 10**11, trajectory.poses))
-    with pytest.raises(InputError, match="got those of another map"):
-        MapEdits.of(folder / "map.yaml").carry(edits, "edits.geojson", grid)
-    (folder / "trajectory.tum").unlink()
-    with pytest.raises(InputError, match="got those of another map"):
-        MapEdits.of(folder / "map.yaml").carry(edits, "edits.geojson", grid)
+def test_a_map_that_has_changed_since_is_told_and_places_outside_are_refused(run):
+    edits, grid, told = read_edits(run / "edits.geojson"), read_map(run / "map.yaml"), []
+    check_edits(edits, "edits.geojson", run / "map.yaml", grid, told.append)
+    assert told == []
+    write_map(run / "map.yaml", _empty(rows=101, columns=140, origin=(-1.0, -1.0)))
+    check_edits(edits, "edits.geojson", run / "map.yaml", grid, told.append)
+    assert len(told) == 1
+    assert "drawn on another image" in told[0]
     far = Edits((Edit("keep_out", "Polygon", SQUARE + 50),))
     with pytest.raises(InputError, match="feature 1: expected places in"):
-        MapEdits.of(folder / "map.yaml").carry(far, "edits.geojson", grid)
+        check_edits(far, "edits.geojson", run / "map.yaml", grid, told.append)
 
 
 def test_a_map_is_read_with_its_edits(run):
-    folder, _ = run
+    folder = run
     edits = read_edits(folder / "edits.geojson")
     wall = Edit("walls", "LineString", LINE, "", 0.1)
     write_edits(folder / "walls.geojson", Edits((wall,), edits.map_name, edits.map_sha256))

@@ -8,11 +8,8 @@ import pytest
 
 from gridslam.api.mapping import map_log
 from gridslam.api.session import Session
-from gridslam.api.session_edits import find_edits
 from gridslam.config import override, preset
 from gridslam.errors import ConfigurationError, InputError
-from gridslam.geometry import se2
-from gridslam.io.edits import Edit, Edits, read_edits, write_edits
 from gridslam.io.sessions.session_file import SavedSession, read_session, write_session
 from gridslam.ros.node.parameters import node_parameters
 from gridslam.ros.node.ros_node import RosNode
@@ -224,62 +221,6 @@ def test_a_reset_keeps_the_session_so_far_beside_the_new_one(drive, first_half, 
     assert f"the earlier session {path} is kept as {path.with_stem('s-1')}" in log
     assert path.with_stem("s-1").read_bytes() == first_half.read_bytes()
     assert len(read_session(path).run.trajectory.keys) in (9, 10)
-
-
-def test_edits_follow_the_session_of_a_node(drive, first_half, tmp_path):
-    """Those beside the session that is continued lie beside each file that the node saves, where the building is."""
-    path = tmp_path / "s.gridslam"
-    path.write_bytes(first_half.read_bytes())
-    before = Session.open(path)
-    (name,) = before.trajectories
-    zone = before.trajectories[name].poses[40, :2] + np.array([[0.0, 0.0], [1.0, 0.0], [1.0, 1.0], [0.0, 1.0]])
-    write_edits(find_edits(path), Edits((Edit("keep_out", "Polygon", zone),)))
-    save = tmp_path / "whole.gridslam"
-    node = RunningNode(
-        **{"continue": str(path)}, save=str(save), out=str(tmp_path / "out"), begin_at="elsewhere", autosave=0.0005
-    )
-    node.play(drive[:5], shift_s=3600.0)
-    assert until(lambda: is_prepared(node.node.core), 60.0)
-    node.play(drive[5:60], shift_s=3600.0)
-    assert until(find_edits(tmp_path / "out" / "autosave.gridslam").exists)
-    late = Edit("rooms", "Point", zone[:1], "hall")  # drawn while the robot drives
-    write_edits(find_edits(path), Edits((*read_edits(find_edits(path)).edits, late)))
-    assert node.node._services.serialize(str(tmp_path / "asked")).startswith("session saved")
-    log = node.stop()
-    assert node.error is None, log
-    names = [f"{name}.edits.geojson" for name in ("asked", "s", "whole")]
-    assert sorted(path.name for path in tmp_path.glob("*.geojson")) == names
-    assert not [*(tmp_path / "out").glob("autosave*")]
-    after = Session.open(save)
-    kept, named = after.edits.edits
-    assert (kept.drive, named.drive, named.name) == (name, name, "hall")
-    own = after.trajectories[name]
-    number = int(np.argmin(np.abs(own.stamps_ns - round(1e9 * kept.anchor[0]))))
-    there = se2.compose(own.poses[number], se2.inverse(before.trajectories[name].poses[number]))
-    assert np.abs(kept.points - se2.transform_points(there, zone)).max() < 1e-3
-
-
-def test_a_session_that_a_node_moves_away_takes_its_edits_along(drive, first_half, tmp_path):
-    path = tmp_path / "s.gridslam"
-    path.write_bytes(first_half.read_bytes())
-    write_edits(find_edits(path), Edits((Edit("rooms", "Point", np.zeros((1, 2)), "hall"),)))
-    was = find_edits(path).read_bytes()
-    node = RunningNode(save=str(path))
-    node.play(drive[:20])
-    node.stop()
-    assert find_edits(path.with_stem("s-1")).read_bytes() == was
-    assert not find_edits(path).exists()
-
-
-def test_damaged_edits_cost_no_session_of_a_node(drive, first_half, tmp_path):
-    path = tmp_path / "s.gridslam"
-    path.write_bytes(first_half.read_bytes())
-    find_edits(path).write_text("{")
-    node = RunningNode(**{"continue": str(path)}, save=str(tmp_path / "whole.gridslam"))
-    node.play(drive[len(drive) // 2 : len(drive) // 2 + 20])
-    log = node.stop()
-    assert "is written without its edits" in log + repr(node.error)
-    assert len(read_session(tmp_path / "whole.gridslam").run.trajectory.keys) > 20
 
 
 def test_a_robot_on_another_floor_is_not_looked_for_in_the_map_of_this_one(drive, first_half, tmp_path):

@@ -7,7 +7,6 @@ import pytest
 
 from gridslam.errors import ArgumentError, InputError
 from gridslam.geometry.se2 import between
-from gridslam.io.edits import Edit, Edits, read_edits, write_edits
 from gridslam.io.sessions.session_file import read_session
 from gridslam.ros.node.messages import Level
 from gridslam.ros.node.session_services import MatchType
@@ -77,8 +76,6 @@ def test_what_is_mapped_is_joined_with_another_session_and_goes_on_from_both(dri
     other = RunningNode(save=str(tmp_path / "other.gridslam"))
     other.play(drive[:200])
     other.stop()
-    zone = Edit("rooms", "Point", np.zeros((1, 2)), "hall")
-    write_edits(tmp_path / "other.edits.geojson", Edits((zone,)))
     node = RunningNode(out=str(tmp_path / "out"))
     node.play(drive[100:300])
     serve = node.node._services
@@ -103,10 +100,8 @@ def test_what_is_mapped_is_joined_with_another_session_and_goes_on_from_both(dri
     assert len([*joined.drives]) == 2
     assert len(joined.pieces) == 1
     assert len([*read_session(folder / "before-merge.gridslam").drives]) == 1
-    assert [edit.name for edit in read_edits(folder / "merged.edits.geojson").edits] == ["hall"]
     assert sorted(path.name for path in folder.glob("*merge*")) == [
         "before-merge.gridslam",
-        "merged.edits.geojson",
         "merged.gridslam",
     ]
     node.play(drive[300:330])
@@ -187,13 +182,8 @@ def test_requests_of_slam_toolbox_are_served_by_their_fields(log, drive, tmp_pat
     turn = SimpleNamespace(x=0.0, y=0.0, z=float(np.sin(there[2] / 2)), w=float(np.cos(there[2] / 2)))
     pose = SimpleNamespace(position=SimpleNamespace(x=float(there[0]), y=float(there[1]), z=0.0), orientation=turn)
     asked = requests(filename=name, match_type=MatchType.LOCALIZE_AT_POSE, initial_pose=pose)
-    wall = Edit("walls", "LineString", np.array([[0.0, -0.6], [0.0, -0.5]]), width_m=0.1)
-    write_edits(tmp_path / "floor.edits.geojson", Edits((wall,)))
     assert services["deserialize_map"](asked) == (0,)
     assert until(lambda: node.node.core.localizes)
-    known = node.node.core.configuration.known.grid
-    row, column = np.floor((wall.points.mean(axis=0) - known.origin) / known.resolution_m).astype(int)[::-1]
-    assert known.log_odds[row, column] > 4.0
     end = 3 * len(drive) // 4
     node.play(drive[len(drive) // 2 : end], lost=1)
     metres, _ = away(node, log.truth.poses, 0, end - 1)

@@ -9,11 +9,9 @@ import pytest
 
 from gridslam.geometry.se2 import between, compose
 from gridslam.serialization import from_arrays, to_arrays
-from gridslam.slam.full_slam.marginalization import marginalize
 from gridslam.slam.loop_closure.constraints import Constraint, ConstraintSource
 from gridslam.slam.loop_closure.drift_model import DriftModel, propagate_covariances
 from gridslam.slam.loop_closure.key_graph import KEY_SCANS_PER_SUBMAP, UNKNOWN_VARIANCES, KeyGraph, position_sigmas
-from gridslam.slam.pose_graph.pose_graph import PoseGraph
 from gridslam.tracking.state import UnmatchedMotion
 
 DRIFT = DriftModel()
@@ -243,59 +241,6 @@ def test_a_graph_that_is_read_knows_the_same_ways_to_the_last_bit(seed):
         read = from_arrays(KeyGraph, to_arrays(graph))
         assert contents(read) == contents(graph)
         assert read.drift.tobytes() == graph.drift.tobytes()
-
-
-def test_what_a_person_rejects_follows_its_key_scans():
-    """Joined behind another graph it is counted on, thinned it is the nearest that is kept, and cut off it goes."""
-    earlier, later = (KeyGraph() for _ in range(2))
-    for graph in (earlier, later):
-        for k in range(60):
-            graph.extend(np.array([0.5 * k, 0, 0]), np.array([0.5 * k, 0, 0]), (1e-4, 1e-4))
-    later.reject(5, 45)
-    by_hand = Constraint(6, 44, np.zeros(3), np.eye(3), ConstraintSource.BY_HAND, True)
-    assert later.allows(by_hand)
-    assert not later.allows(by_hand._replace(source=ConstraintSource.RECOGNIZED))
-    assert later.allows(by_hand._replace(source=ConstraintSource.RECOGNIZED, to=55))
-    later.add(by_hand._replace(source=ConstraintSource.TRACKED))
-    assert later.constraints == []
-    assert later.snapshot().rejected.tolist() == [[5, 45]]
-    earlier.append(later, np.array(later.poses), (1e6, 1.0))
-    assert earlier.rejected.tolist() == [[65, 105]]
-    thinned = marginalize(earlier, np.r_[0:60, 70:120])
-    assert thinned.rejected.tolist() == [[60, 95]]
-    earlier.truncate(100)
-    assert len(earlier.rejected) == 0
-
-
-def test_what_a_person_added_stays_beside_what_is_rejected():
-    """It goes only where its own two key scans are the rejected ones, whichever is named first."""
-    graph = KeyGraph()
-    for k in range(60):
-        graph.extend(np.array([0.5 * k, 0, 0]), np.array([0.5 * k, 0, 0]), (1e-4, 1e-4))
-    by_hand = Constraint(6, 44, np.zeros(3), np.eye(3), ConstraintSource.BY_HAND, True)
-    turned = by_hand._replace(from_=43, to=7)
-    graph.constraints += [by_hand, turned, by_hand._replace(source=ConstraintSource.RECOGNIZED)]
-    graph.reject(5, 45)
-    assert [constraint.pair for constraint in graph.constraints] == [(6, 44), (43, 7)]
-    assert all(constraint.source is ConstraintSource.BY_HAND for constraint in graph.constraints)
-    graph.reject(7, 43)
-    assert [constraint.pair for constraint in graph.constraints] == [(6, 44)]
-    graph.reject(6, 44)
-    assert graph.constraints == []
-
-
-def test_a_measurement_seen_from_the_other_end_is_the_same():
-    """Of a graph's error, to first order."""
-    rng = np.random.default_rng(0)
-    root = rng.normal(size=(3, 3))
-    constraint = Constraint(9, 4, rng.normal(size=3), root @ root.T, ConstraintSource.BY_HAND, True)
-    turned = constraint.in_order()
-    assert turned.pair == (4, 9)
-    assert turned.in_order() is turned
-    poses = rng.normal(size=(10, 3))
-    poses[4] = compose(poses[9], constraint.measurement + 1e-4 * rng.normal(size=3))
-    chi2 = [PoseGraph.of(poses, [c.pair], c.measurement, c.information).chi2() for c in (constraint, turned)]
-    assert chi2[0] == pytest.approx(chi2[1], rel=1e-3)
 
 
 def test_a_gap_within_a_submap_makes_what_lies_behind_it_uncertain():

@@ -116,7 +116,7 @@ def test_key_scans_are_not_matched_across_a_gap_that_nothing_joins(seen, archive
     surfaces = Surfaces.of(batch)
     components = np.repeat([0, 1], 45)
     graph = graph_about(seen.truth[:90], 1)
-    whole, apart = (adjust_key_scans(graph, surfaces, surfaces, of, None)[0] for of in (0 * components, components))
+    whole, apart = (adjust_key_scans(graph, surfaces, surfaces, of)[0] for of in (0 * components, components))
     joining, none = (np.diff(components[found.edges[len(graph.edges) :]])[:, 0].any() for found in (whole, apart))
     assert joining
     assert not none

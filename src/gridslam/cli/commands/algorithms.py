@@ -116,14 +116,6 @@ def grid_command(**options: Any) -> None:  # noqa: ANN401
 @click.argument("log", type=LOG)
 @click.option("-o", "--out", type=OUT, help="Output folder; created if missing.")
 @localize_options
-@click.option(
-    "--other-map",
-    "other_maps",
-    type=PATH,
-    multiple=True,
-    metavar="YAML",
-    help="Map of another floor, any number of times: the floor on which the robot is found is reported.",
-)
 @live_options
 @history_option
 @json_option

@@ -91,7 +91,7 @@ def demo_command(**options: Any) -> None:  # noqa: ANN401
 
 @click.command("session")
 @click.argument("file", type=PATH)
-@click.option("-o", "--out", type=OUT, help="Write each map and its edits to this folder: NAME.yaml, NAME.geojson.")
+@click.option("-o", "--out", type=OUT, help="Write each map to this folder: NAME.yaml, NAME.pgm.")
 @json_option
 def session_command(**options: Any) -> None:  # noqa: ANN401
     """Show the content of a session FILE: maps by name, drives, logs, dates, sizes, and links of floors."""

@@ -12,20 +12,7 @@ from gridslam.cli.options import evaluate_options, host_options, json_option
 
 @click.command("view")
 @click.argument("out", type=PATH)
-@click.option(
-    "--beside",
-    type=PATH,
-    metavar="PATH",
-    help="Compare with another OUT, map.yaml or trajectory.tum.  [default: OUT/truth.tum, if there is one]",
-)
-@click.option(
-    "--edit", is_flag=True, help="Let the page edit the map: OUT/edits.geojson, NAME.edits.geojson of a session."
-)
-@click.option(
-    "--edit-graph",
-    is_flag=True,
-    help="Show the pose graph in OUT and let viewers edit it: saved in OUT's session.",
-)
+@click.option("--edit", is_flag=True, help="Let the page edit the map: OUT/edits.geojson.")
 @click.option("--floor", metavar="NAME", help="Of a session: the map that is shown.  [default: the newest drive's]")
 @host_options
 def view_command(**options: Any) -> None:  # noqa: ANN401
@@ -50,7 +37,7 @@ def evaluate_command(**options: Any) -> None:  # noqa: ANN401
     TRAJECTORY is in TUM format, stamp x y z qx qy qz qw, or EuRoC's.
 
     REFERENCE is a file of true relative poses (Kuemmerle et al. 2009) if its name ends in .relations; otherwise a true
-    trajectory in the format of TUM, EuRoC or KITTI (a pose for each of TRAJECTORY), for which the absolute (ATE,
+    trajectory in one of these formats, for which the absolute (ATE,
     aligned) and relative (RPE) errors are reported; or, where there is no truth, the log itself: how well its scans,
     drawn along TRAJECTORY, agree with each other.
     """

@@ -47,9 +47,7 @@ class BackgroundWriter:
         """Whether a session is being written."""
         return self._thread is not None and self._thread.is_alive()
 
-    def write(
-        self, path: Path, session: SavedSession, write: Callable[[Path, SavedSession], None] = write_session
-    ) -> None:
+    def write(self, path: Path, session: SavedSession) -> None:
         """Write a session as it is now, in place of an earlier one; call between two scans, and when it is idle."""
         run = session.run
         try:
@@ -57,7 +55,7 @@ class BackgroundWriter:
         except MemoryError as error:
             self._problem = describe_error(error)
             return
-        self._thread = threading.Thread(target=self._write, args=(path, copied, write), name="gridslam-autosave")
+        self._thread = threading.Thread(target=self._write, args=(path, copied), name="gridslam-autosave")
         self._thread.start()
 
     def report(self) -> None:
@@ -72,10 +70,10 @@ class BackgroundWriter:
             self._thread.join()
         self.report()
 
-    def _write(self, path: Path, copied: list[SavedSession], write: Callable[[Path, SavedSession], None]) -> None:
+    def _write(self, path: Path, copied: list[SavedSession]) -> None:
         lower_priority()
         try:
             path.parent.mkdir(parents=True, exist_ok=True)
-            write(path, copied.pop())
+            write_session(path, copied.pop())
         except (OSError, GridslamError, MemoryError) as error:
             self._problem = describe_error(error)

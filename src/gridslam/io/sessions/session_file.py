@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import copy
 import json
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping
 from dataclasses import asdict, dataclass, field, replace
 from itertools import chain
 from pathlib import Path
@@ -16,7 +16,6 @@ from gridslam import __version__, serialization
 from gridslam.arguments import require_instance, require_seed
 from gridslam.config import Configuration, dumps
 from gridslam.config.configuration import loads
-from gridslam.errors import ArgumentError
 from gridslam.io.sessions.archive_file import (
     Arrays,
     dump_generator,
@@ -27,16 +26,12 @@ from gridslam.io.sessions.archive_file import (
     write_sealed_arrays,
 )
 from gridslam.io.sessions.drives import Drive, DrivenLog, SavedPiece
-from gridslam.io.sessions.state_values import require_near_ends, require_near_maps, require_plausible
 from gridslam.io.text import parse_json
 from gridslam.observers import StatisticsRecorder, TrajectoryRecorder
 from gridslam.serialization import read_array, select_part
 from gridslam.slam.full_slam.full_trajectory import TrackedScans
 from gridslam.slam.grid_fastslam.state import GridFastSlamState
-from gridslam.slam.loop_closure.graph_edits import GraphEdit, dump_edits, edit_graph, load_edits
 from gridslam.slam.loop_closure.map_piece import MapPiece
-from gridslam.slam.loop_closure.scan_archive import ScanArchive
-from gridslam.types import IntArray
 
 SESSION_SCHEMA = "gridslam.session/3"
 _WHAT = "a session of gridslam"
@@ -116,8 +111,6 @@ class SavedSession:
         Date and time in UTC, ISO 8601.
     version : str
         Version of gridslam that wrote it.
-    edits : tuple of GraphEdit
-        Edits of the newest piece's graph by hand, which are made when it is read.
     """
 
     configuration: Configuration
@@ -126,7 +119,6 @@ class SavedSession:
     pieces: tuple[SavedPiece, ...] = ()
     written: str = ""
     version: str = __version__
-    edits: tuple[GraphEdit, ...] = ()
 
     @property
     def newest(self) -> MapPiece | None:
@@ -166,7 +158,6 @@ class SavedSession:
             "seed": self.seed,
             "configuration": dumps(self.configuration),
             "job": "",  # unused; readers of this schema expect it
-            **({"edits": dump_edits(self.edits)} if self.edits else {}),
             "pieces": [[_describe(drive) for drive in piece.drives] for piece in self.pieces],
             "run": None,
         }
@@ -212,7 +203,7 @@ def write_session(path: str | Path, session: SavedSession) -> None:
     write_sealed_arrays(path, session.dump())
 
 
-def read_session(path: str | Path, threads: int = 1, *, makes_edits: bool = True) -> SavedSession:
+def read_session(path: str | Path, threads: int = 1) -> SavedSession:
     """Read a session; continuing it gives the same results as a run without interruption.
 
     Parameters
@@ -221,8 +212,6 @@ def read_session(path: str | Path, threads: int = 1, *, makes_edits: bool = True
         What `write_session` wrote, in this version or an earlier one.
     threads : int
         Threads of the kernels; never changes a result.
-    makes_edits : bool
-        Whether the edits by hand are made: its graph is solved with them, and the filter continues there.
 
     Raises
     ------
@@ -234,13 +223,12 @@ def read_session(path: str | Path, threads: int = 1, *, makes_edits: bool = True
         head = _parse_head(arrays)
         configuration = loads(head["configuration"], ignore_unknown=True)
         pieces = [
-            _load_piece(select_part(arrays, f"pieces.{number}"), drives, configuration.mapper.resolution_m)
-            for number, drives in enumerate(head["pieces"])
+            _load_piece(select_part(arrays, f"pieces.{number}"), drives) for number, drives in enumerate(head["pieces"])
         ]
         run = None
         if head["run"] is not None:
             run = _load_run(select_part(arrays, "run"), head["run"], configuration, threads)
-        saved = SavedSession(
+        return SavedSession(
             configuration,
             seed=int(head["seed"]),
             run=run,
@@ -248,21 +236,6 @@ def read_session(path: str | Path, threads: int = 1, *, makes_edits: bool = True
             written=str(head["written"]),
             version=str(head["version"]),
         )
-        newest = saved.newest
-        saved = replace(saved, edits=load_edits(head.get("edits", []), 0 if newest is None else len(newest)))
-        return _make_edits(saved, threads) if makes_edits else saved
-
-
-def _make_edits(saved: SavedSession, threads: int) -> SavedSession:
-    """Make the edits of a session that was just read."""
-    newest, closure = saved.newest, saved.configuration.loop_closure
-    if not saved.edits or newest is None or closure is None:
-        return saved
-    edit_graph(newest.graph, saved.edits)
-    state = None if saved.run is None else saved.run.state
-    if state is not None and state.closure_state is not None:
-        closure.follow(state, state.closure_state, saved.configuration.mapper, threads)
-    return replace(saved, edits=())
 
 
 def read_head(path: str | Path) -> SessionHead:
@@ -314,8 +287,8 @@ def _dump_drives(part: str, drives: tuple[Drive, ...]) -> dict[str, Any]:
     return arrays
 
 
-def _load_drives(arrays: Arrays, heads: list[dict[str, Any]], key_scans: int) -> tuple[Drive, ...]:
-    """Restore drives that cover key scans up to `key_scans`; no drive has those of a given map, which come first."""
+def _load_drives(arrays: Arrays, heads: list[dict[str, Any]]) -> tuple[Drive, ...]:
+    """Restore drives; no drive has the key scans of a given map, which come first."""
     drives = []
     for number, head in enumerate(heads):
         own = select_part(arrays, f"drives.{number}")
@@ -326,15 +299,6 @@ def _load_drives(arrays: Arrays, heads: list[dict[str, Any]], key_scans: int) ->
         poses = read_array(own, "poses", np.float64, ("scans", 3), sizes) if "poses" in own else None
         scans = TrackedScans(keys, key_from_base, poses)
         drives.append(Drive(str(head["name"]), _load_logs(head["logs"]), stamps_ns, scans, head.get("floor", "")))
-    covered = int(drives[0].scans.keys[:1].sum()) if drives else key_scans
-    for drive in drives:
-        keys = drive.scans.keys
-        is_whole = keys[:1] == [covered] and bool(np.isin(np.diff(keys), (0, 1)).all())
-        if not is_whole or not np.isfinite(drive.scans.key_from_base).all():
-            raise ArgumentError("drives", f"scans of key scans in order, from {covered} on", f"others of {drive.name}")
-        covered = int(keys[-1]) + 1
-    if covered != key_scans:
-        raise ArgumentError("drives", f"scans of {key_scans} key scans", f"of {covered}")
     return tuple(drives)
 
 
@@ -342,19 +306,11 @@ def _load_logs(logs: list[dict[str, Any]]) -> tuple[DrivenLog, ...]:
     return tuple(DrivenLog(**log) for log in logs)
 
 
-def _load_piece(arrays: Arrays, heads: list[dict[str, Any]], resolution_m: float) -> SavedPiece:
-    require_plausible(arrays)
-    piece = serialization.from_arrays(MapPiece, arrays)
-    require_near_ends(arrays, resolution_m)
-    if not len(piece):
-        raise ArgumentError("graph.poses", "at least one key scan", "none")
-    saved = SavedPiece(piece, _load_drives(arrays, heads, len(piece)))
-    _require_same_scans(piece.scans, saved.drives)
-    return saved
+def _load_piece(arrays: Arrays, heads: list[dict[str, Any]]) -> SavedPiece:
+    return SavedPiece(serialization.from_arrays(MapPiece, arrays), _load_drives(arrays, heads))
 
 
 def _load_run(arrays: Arrays, head: dict[str, Any], configuration: Configuration, threads: int) -> SavedRun:
-    require_plausible(arrays)
     run = SavedRun(
         load_generator(head["generator"]),
         trajectory=TrajectoryRecorder.from_arrays(select_part(arrays, "trajectory")),
@@ -363,44 +319,7 @@ def _load_run(arrays: Arrays, head: dict[str, Any], configuration: Configuration
         logs=_load_logs(head["logs"]),
         floor=head.get("floor", ""),
     )
-    keys = run.trajectory.keys
     if "state.schema" not in arrays:
-        _require_keys(keys, 0)
         return run
     state = GridFastSlamState.from_arrays(select_part(arrays, "state"), configuration.mapper, threads)
-    require_near_maps(arrays, configuration.mapper.resolution_m)
-    require_near_ends(arrays, configuration.mapper.resolution_m)
-    closure_state = state.closure_state
-    own = (
-        len(run.trajectory.key_scans)
-        if closure_state is not None and closure_state.joined >= 0
-        else state.ancestry.steps
-    )
-    _require_keys(keys, own)
-    earlier = _load_drives(arrays, head["earlier"], state.ancestry.steps - own)
-    run = replace(run, state=state, earlier=earlier)
-    if closure_state is not None:
-        _require_same_scans(closure_state.scans, run.drives)
-    return run
-
-
-def _require_keys(keys: IntArray, key_scans: int) -> None:
-    """Refuse scans (N,) that do not belong to key scans 0 to `key_scans` - 1, in order, one after the other."""
-    if len(keys) == 0 == key_scans:
-        return
-    is_whole = (
-        len(keys) > 0 and keys[0] == 0 and keys[-1] == key_scans - 1 and bool(np.isin(np.diff(keys), (0, 1)).all())
-    )
-    if not is_whole:
-        raise ArgumentError("trajectory.keys", f"key scans 0 to {key_scans - 1}, in order", keys)
-
-
-def _require_same_scans(scans: ScanArchive, drives: Sequence[Drive]) -> None:
-    """Refuse drives that are not the last scans of an archive, with the same ones as key scans."""
-    if not drives:
-        return
-    keys = np.concatenate([drive.scans.keys for drive in drives])
-    first = len(scans) - len(keys)
-    begins = first + np.flatnonzero(np.diff(keys, prepend=keys[0] - 1))
-    if scans.keys[keys[0] :] != begins.tolist():
-        raise ArgumentError("scans.keys", f"the {len(begins)} key scans of the drives", scans.keys)
+    return replace(run, state=state, earlier=_load_drives(arrays, head["earlier"]))

@@ -2,14 +2,13 @@
 
 import { Camera } from "./camera.js";
 import { Chart, COLUMNS, WeightBars } from "./chart.js";
-import { Console } from "./console.js";
 import { Drawing } from "./drawing.js";
 import { Editor } from "./edit.js";
 import { Graph } from "./graph.js";
 import { Panel } from "./panel.js";
 import { Connection } from "./socket.js";
 import { Keys } from "./keys.js";
-import { outline, palette, TileMap } from "./tilemap.js";
+import { palette, TileMap } from "./tilemap.js";
 import { inMetres, Measure, roundLength } from "./tools.js";
 
 const $ = (selector) => document.querySelector(selector);
@@ -17,7 +16,7 @@ const NONE = new Float32Array(), NO_NUMBERS = new Int32Array();
 
 const MOVE = 80; // px that an arrow key moves the map
 
-const world = { map: new TileMap(), other: new TileMap() };
+const world = { map: new TileMap() };
 const camera = new Camera($("#map"));
 const drawing = new Drawing($("#map"), world, camera);
 const panel = new Panel((command) => connection.send(command));
@@ -27,17 +26,15 @@ const charts = [
 ];
 const weightBars = new WeightBars($("#weights"), selectParticle);
 const measure = drawing.measure = new Measure();
-const robotConsole = drawing.console = new Console(camera, (command) => connection.send(command), () => redraw());
 const editor = drawing.editor = new Editor(camera, () => redraw());
-const graph = new Graph(world, camera, (command) => connection.send(command), () => redraw());
+const graph = new Graph(world, camera, () => redraw());
 let colours = {}, redrawPending = false;
 
 function reset() {
   world.map.clear();
-  world.other.clear();
   Object.assign(world, {
     runInfo: {}, status: {}, path: NONE, selected: NONE, plan: NONE, tree: NONE, parents: NO_NUMBERS, leaves: NO_NUMBERS,
-    particles: NONE, scan: NONE, older: NONE, closures: NONE, landmarks: NONE, truth: NONE, series: NONE, steps: 0, chosen: null,
+    particles: NONE, scan: NONE, closures: NONE, landmarks: NONE, truth: NONE, series: NONE, steps: 0, chosen: null,
   });
 }
 
@@ -56,13 +53,12 @@ function receive({ header, arrays }) {
   if (header.messages) panel.messages.show(header.messages);
   if (header.clear) world.map.clear();
   if (arrays.tiles) world.map.put(arrays.tiles_at, arrays.tiles);
-  if (arrays.other_tiles) world.other.put(arrays.other_tiles_at, arrays.other_tiles);
   for (const name of ["path", "selected"]) if (arrays[name]) world[name] = splice(world[name], 2 * header[name], arrays[name]);
   if (arrays.series) {
     world.series = splice(world.series, COLUMNS * header.series, arrays.series);
     world.steps = world.series.length / COLUMNS;
   }
-  for (const name of ["particles", "scan", "older", "closures", "plan", "landmarks", "truth"]) world[name] = arrays[name] ?? world[name];
+  for (const name of ["particles", "scan", "closures", "plan", "landmarks", "truth"]) world[name] = arrays[name] ?? world[name];
   if (arrays.tree) [world.tree, world.parents, world.leaves] = [arrays.tree, arrays.tree_parents, arrays.tree_leaves];
   panel.show(world);
   graph.show();
@@ -73,11 +69,8 @@ function receive({ header, arrays }) {
 function setRunInfo(runInfo) {
   world.runInfo = runInfo;
   world.map.place(runInfo.resolution_m ?? 0.05, runInfo.offset_m);
-  if (runInfo.other) world.other.place(runInfo.other.resolution_m, runInfo.other.offset_m);
   document.body.dataset.session = runInfo.session;
   panel.setRunInfo(runInfo);
-  robotConsole.setRunInfo(runInfo);
-  graph.setRunInfo(runInfo);
   if (runInfo.layers.includes("edits")) editor.start();
   resize();
 }
@@ -168,11 +161,10 @@ function resize() {
 
 function applyColours() {
   const style = getComputedStyle(document.documentElement);
-  for (const name of ["unknown", "free", "occupied", "text", "faint", "rule", "path", "ancestry", "particle", "selected", "scan", "closure", "landmark", "truth", "other", "good", "bad"]) {
+  for (const name of ["unknown", "free", "occupied", "text", "faint", "rule", "path", "ancestry", "particle", "selected", "scan", "closure", "landmark", "truth", "good", "bad"]) {
     colours[name] = style.getPropertyValue(`--${name}`).trim();
   }
   world.map.colour(palette(colours.unknown, colours.free, colours.occupied));
-  world.other.colour(outline(colours.other));
   redraw();
 }
 
@@ -236,17 +228,14 @@ $("#follow").onclick = () => setMode(camera.mode === "follow" ? "free" : "follow
 $("#save-picture").onclick = savePicture;
 $("#save-map").onclick = () => saveFile("map.zip", "-map.zip");
 $("#save-trajectory").onclick = () => saveFile("trajectory.tum", "-trajectory.tum");
-$("#save-session").onclick = () => saveFile("session.gridslam", ".gridslam");
 $("#measure").onclick = toggleMeasure;
 $("#help-button").onclick = () => $("#help").showModal();
 $("#turn").oninput = ({ target }) => turn((target.value * Math.PI) / 180);
-for (const [id, name] of [["#opacity", "map"], ["#other-opacity", "other"]]) {
-  $(id).oninput = ({ target }) => {
-    drawing.opacity[name] = target.value / 100;
-    $(`${id} + output`).textContent = `${target.value} %`;
-    redraw();
-  };
-}
+$("#opacity").oninput = ({ target }) => {
+  drawing.opacity = target.value / 100;
+  $("#opacity + output").textContent = `${target.value} %`;
+  redraw();
+};
 $("#layers").onchange = ({ target }) => { drawing.shown[target.name] = target.checked; redraw(); };
 addEventListener("resize", resize);
 matchMedia("(prefers-color-scheme: dark)").addEventListener("change", applyColours);
@@ -265,6 +254,6 @@ new Keys([
   [["n"], "not turned", () => turn(0)],
   [["g"], "grid in metres", () => $("#layers input[name='grid']").click()],
   [["m"], "measure", () => toggleMeasure()],
-  [["Escape"], "the best particle again; end measuring", () => (graph.isPutting ? graph.toggle(false) : camera.takes ? robotConsole.toggle(false) : measure.active ? toggleMeasure() : connection.send({ do: "select", particle: null }))],
+  [["Escape"], "the best particle again; end measuring", () => (measure.active ? toggleMeasure() : connection.send({ do: "select", particle: null }))],
   [["?"], "this list", () => $("#help").showModal()],
 ], $("#help"));

@@ -32,8 +32,8 @@ function pathPoints(path, world, particle) {
 export class Drawing {
   constructor(canvas, world, camera) {
     Object.assign(this, { canvas, world, camera });
-    this.shown = { map: true, path: true, ancestry: true, particles: true, scan: true, closures: true, landmarks: true, other: true, truth: true, grid: false };
-    this.opacity = { map: 1, other: 0.7 };
+    this.shown = { map: true, path: true, ancestry: true, particles: true, scan: true, closures: true, landmarks: true, truth: true, grid: false };
+    this.opacity = 1;
   }
 
   resize() {
@@ -45,7 +45,7 @@ export class Drawing {
     const { world, camera, shown } = this, context = this.canvas.getContext("2d");
     context.setTransform(devicePixelRatio, 0, 0, devicePixelRatio, 0, 0);
     context.clearRect(0, 0, camera.width, camera.height);
-    this.maps(context);
+    if (shown.map) this.map(context);
     if (shown.grid) drawGrid(context, camera, colours);
     Object.assign(context, { lineJoin: "round", lineCap: "round" });
     if (shown.truth) this.truth(context, colours.truth);
@@ -53,29 +53,24 @@ export class Drawing {
     if (shown.path) this.path(context, colours);
     if (shown.closures) this.closures(context, colours);
     if (shown.landmarks) this.landmarks(context, colours.landmark);
-    if (shown.scan) {
-      this.points(context, world.older, [0, 0, 0], colours.particle);
-      this.scan(context, colours.scan);
-    }
+    if (shown.scan) this.scan(context, colours.scan);
     this.found(context, colours);
     this.robot(context, colours);
     if (shown.particles) this.particles(context, colours);
-    for (const tool of [this.measure, this.console, this.editor]) tool?.draw(context, camera, colours);
+    for (const tool of [this.measure, this.editor]) tool?.draw(context, camera, colours);
   }
 
-  // Draws both maps, from a copy where neither has changed, as while edits are dragged.
-  maps(context) {
-    const { camera, world, shown, opacity, canvas } = this, names = ["map", "other"].filter((name) => shown[name]);
+  // Paints the map, from a copy where it has not changed, as while edits are dragged.
+  map(context) {
+    const { camera, world, opacity, canvas } = this;
     const { x, y, scale, angle, middle } = camera, ratio = devicePixelRatio;
-    const seen = JSON.stringify([x, y, scale, angle, middle, ratio, canvas.width, canvas.height, names.map((name) => [name, opacity[name], world[name].version])]);
+    const seen = JSON.stringify([x, y, scale, angle, middle, ratio, canvas.width, canvas.height, opacity, world.map.version]);
     if (seen !== this.seen) {
       this.seen = seen;
       this.layer = new OffscreenCanvas(Math.max(canvas.width, 1), Math.max(canvas.height, 1)).getContext("2d");
       this.layer.setTransform(ratio, 0, 0, ratio, 0, 0);
-      for (const name of names) {
-        this.layer.globalAlpha = opacity[name];
-        world[name].draw(this.layer, camera);
-      }
+      this.layer.globalAlpha = opacity;
+      world.map.draw(this.layer, camera);
     }
     context.setTransform(1, 0, 0, 1, 0, 0);
     context.drawImage(this.layer.canvas, 0, 0);

@@ -10,14 +10,12 @@ const LAYERS = {
   speed: { key: "v", name: "speed", type: "Polygon", colour: "particle" },
   lanes: { key: "l", name: "lane", type: "LineString", colour: "good", width: 0.6 },
   rooms: { key: "r", name: "room", type: "Point", colour: "path", named: true },
-  links: { key: "i", name: "lift", type: "LineString", colour: "good", named: true },
 };
 const HINTS = {
   select: "Click to select, drag to move; Delete removes.",
   LineString: "Click from place to place; Enter ends the line.",
   Polygon: "Click corners and Enter, or drag a rectangle.",
   Point: "Enter a name, and click into the room.",
-  links: "A lift or stair: enter its name, the same on each floor; drag from where it begins, in its direction.",
 };
 
 // A history of states that share what has not changed.
@@ -46,7 +44,7 @@ export class History {
 const placesOf = ({ geometry: { type, coordinates } }) => ({ Point: [coordinates], LineString: coordinates, Polygon: coordinates[0]?.slice?.(0, -1) })[type];
 
 function withPlaces(feature, places) {
-  const { anchor, drive, ...properties } = feature.properties, { type } = feature.geometry; // the server finds the anchor again
+  const { properties, geometry: { type } } = feature;
   const coordinates = { Point: places[0], LineString: places, Polygon: [[...places, places[0]]] }[type];
   return { ...feature, properties, geometry: { type, coordinates } };
 }
@@ -111,7 +109,7 @@ export class Editor {
     for (const [id, shown] of [["width", layer?.width], ["limit", tool === "speed"], ["name", layer?.named]]) this.section.querySelector(`#edit-for-${id}`).hidden = !shown;
     if (layer?.width) this.section.querySelector("#edit-width").value = layer.width;
     this.camera.takes = (kind, u, v) => this.take(kind, u, v);
-    this.tell(HINTS[tool] ?? HINTS[layer.type]);
+    this.tell(HINTS[layer?.type ?? tool]);
     this.redraw();
   }
 

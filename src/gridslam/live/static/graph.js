@@ -1,37 +1,19 @@
-// A pose graph: the list of its edges, both scans of one of them, and its edits: reject, put a scan elsewhere, add, undo.
+// A pose graph: the list of its edges.
 
 const $ = (selector) => document.querySelector(selector);
-const LISTED = 50, NEAR = 9, TRAVEL = 4; // edges; px of an edge that is hit; px of a drag
+const LISTED = 50, NEAR = 9; // edges; px of an edge that is hit
 
 const twoDigits = (value) => (value >= 10 ? value.toFixed(0) : value.toPrecision(2));
-const percent = (value) => `${(100 * value).toFixed(0)} %`;
 
 export class Graph {
-  // `ask` sends a command to the server.
-  constructor(world, camera, ask, redraw) {
-    Object.assign(this, { world, camera, ask, redraw, listed: null, base: null, drag: null });
-    $("#reject").onclick = () => ask({ do: "edit", edit: this.world.status.residuals[this.world.chosen].slice(0, 2) });
-    $("#add").onclick = () => ask({ do: "edit", edit: "add" });
-    $("#undo").onclick = () => ask({ do: "edit", edit: "undo" });
-    $("#put").onclick = () => this.toggle(!this.isPutting);
-  }
-
-  get isPutting() { return $("#put").getAttribute("aria-pressed") === "true"; }
-
-  setRunInfo({ edits_graph: edits }) {
-    $("#edits").hidden = !edits;
+  constructor(world, camera, redraw) {
+    Object.assign(this, { world, camera, redraw, listed: null });
   }
 
   show() {
-    const { residuals, chi2, rejected, added, overlay, scan_pose: pose } = this.world.status;
+    const { residuals, chi2 } = this.world.status;
     $("#residuals").hidden = !residuals;
     if (!residuals) return;
-    $("#edits span").textContent = [[rejected, "rejected"], [added, "added"]].filter(([pairs]) => pairs?.length).map(([pairs, what]) => `${pairs.length} ${what}`).join(", ");
-    $("#undo").disabled = !rejected?.length && !added?.length;
-    $("#add").disabled = !overlay?.proposed;
-    this.tell(overlay);
-    this.base = overlay?.score == null && overlay ? pose : null;
-    if (this.base && this.drag) this.move();
     if (JSON.stringify(this.listed) === JSON.stringify(residuals)) return;
     this.listed = residuals;
     this.mark(null);
@@ -45,16 +27,9 @@ export class Graph {
     }));
   }
 
-  tell(overlay) {
-    const [from, to] = overlay?.pair ?? [];
-    $("#overlay").textContent = !overlay ? "" : overlay.score == null ? `key scan ${from}`
-      : `scans ${from} and ${to}: ${percent(overlay.score)} of the beams agree${overlay.proposed ? ", not added yet" : ""}`;
-  }
-
-  // Chooses an edge, looks at its scans and moves there; chosen again, it is none.
+  // Chooses an edge and moves there; chosen again, it is none.
   choose(number) {
     this.mark(this.world.chosen === number ? null : number);
-    if ($("#edits").hidden === false) this.ask({ do: "look", edge: this.world.chosen });
     if (this.world.chosen != null) {
       const [x0, y0, x1, y1] = this.world.closures.subarray(4 * number, 4 * number + 4);
       this.camera.mode = "free";
@@ -65,7 +40,6 @@ export class Graph {
 
   mark(number) {
     this.world.chosen = number;
-    $("#reject").disabled = number == null;
     document.querySelectorAll("#residuals li button").forEach((button, at) => button.setAttribute("aria-pressed", at === number));
   }
 
@@ -79,42 +53,5 @@ export class Graph {
     };
     const near = (status.residuals ?? []).map((_, k) => [away(k), k]).filter(([px]) => px < NEAR).sort(([a], [b]) => a - b);
     if (near.length) this.choose(near[0][1]);
-  }
-
-  // While a scan is put elsewhere, a drag takes the scan nearest to where it begins.
-  toggle(active) {
-    $("#put").setAttribute("aria-pressed", active);
-    $("#map").classList.toggle("measuring", active);
-    if (active && document.body.hasAttribute("data-sheet")) $("#sheet").click(); // it covers the map of a phone
-    this.drag = null;
-    this.camera.takes = active ? (kind, u, v) => this.take(kind, u, v) : null;
-    this.mark(null);
-    this.redraw();
-  }
-
-  take(kind, u, v) {
-    const at = this.camera.toWorld(u, v);
-    if (kind === "down") {
-      this.drag = { start: [u, v], from: at, to: at };
-      this.ask({ do: "grab", at });
-    }
-    if (!this.drag) return;
-    this.drag.to = at;
-    this.move();
-    if (kind !== "up" && kind !== "cancel") return;
-    const { start, from, to } = this.drag;
-    this.drag = null;
-    if (kind === "up" && Math.hypot(u - start[0], v - start[1]) > TRAVEL) {
-      this.ask({ do: "put", from, to });
-      this.toggle(false);
-    }
-  }
-
-  // Shows the scan where the pointer is.
-  move() {
-    const { from, to } = this.drag;
-    if (!this.base) return;
-    this.world.status.scan_pose = [this.base[0] + to[0] - from[0], this.base[1] + to[1] - from[1], this.base[2]];
-    this.redraw();
   }
 }

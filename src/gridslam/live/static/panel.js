@@ -50,7 +50,6 @@ export class Panel {
     $("#title").textContent = runInfo.title;
     const replay = this.mode === "replay", unlimited = $("#speed option[value='']");
     for (const part of document.querySelectorAll("[data-layer]")) part.hidden = !runInfo.layers.includes(part.dataset.layer);
-    $("#truth-name").textContent = runInfo.truth ?? "truth";
     $("#latency-of").textContent = `Time per ${runInfo.step}`;
     document.body.dataset.mode = runInfo.mode; // the style sheet hides the controls that do not apply
     if (!replay && !unlimited) $("#speed").add(new Option("max", ""));
@@ -117,12 +116,10 @@ export class Panel {
     document.body.toggleAttribute("data-held", ["paused", "finished"].includes(status.stage));
     const over = ["final refinement", "writing", "failed"].includes(status.stage) || (status.stage === "finished" && this.mode !== "replay"), going = !over && this.mode !== "still";
     document.body.toggleAttribute("data-over", over);
-    $("#pause").disabled = !going;
-    for (const id of ["#step", "#speed"]) $(id).disabled = !going || this.mode === "robot";
+    for (const id of ["#pause", "#step", "#speed"]) $(id).disabled = !going || this.mode === "robot";
     $("#pause").setAttribute("aria-label", this.held ? "Resume" : "Pause");
     if (document.activeElement !== $("#speed")) this.speed(status.speed ?? "");
     $("#summary").textContent = this.summarize(world).join(" · ");
-    $("#answer").textContent = status.answer ?? "";
     this.session(status);
     this.robot(status);
     this.particles(world);

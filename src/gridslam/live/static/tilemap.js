@@ -23,12 +23,6 @@ export function palette(unknown, free, occupied) {
   });
 }
 
-// Colours of the levels where only what is occupied is seen.
-export function outline(occupied) {
-  const colour = rgb(occupied);
-  return Array.from({ length: 16 }, (_, level) => [...colour, Math.round(255 * Math.min(Math.max((level - 9) / 5, 0), 1))]);
-}
-
 // The first and the last row (or column) of tiles, by how many cells are known in each: outer ones that hold few cells
 // are beams through windows and doors, and do not count.
 function trim(sums) {

@@ -13,7 +13,6 @@ import numpy as np
 
 from gridslam.api.beginning import Beginning, Place, decide_place, locate_in, restart_at_same_place
 from gridslam.api.session import Session as SavedDrives
-from gridslam.api.session_edits import EditsBefore, find_edits
 from gridslam.config import Configuration
 from gridslam.errors import GridslamError
 from gridslam.io.measurement import Measurement
@@ -46,8 +45,6 @@ class Continued:
         About where the robot is in the map of the newest piece, if that is known.
     is_in_file : bool
         Whether the file holds it, or what it has begun with: then the session may replace the file.
-    edits : tuple of EditsBefore
-        Those beside its file, or beside that of the session that it continues itself.
     """
 
     path: Path
@@ -55,14 +52,13 @@ class Continued:
     place: Place = Place.AUTO
     pose: FloatArray | None = None
     is_in_file: bool = True
-    edits: tuple[EditsBefore, ...] = ()
 
     @classmethod
     def read(
         cls, path: str | Path, threads: int = 1, place: Place = Place.AUTO, pose: FloatArray | None = None
     ) -> Continued:
         """Read a session file; raises InputError if it is none."""
-        return cls(Path(path), read_session(path, threads), place, pose, edits=(EditsBefore(find_edits(path)),))
+        return cls(Path(path), read_session(path, threads), place, pose)
 
     @property
     def names(self) -> list[str]:
@@ -96,7 +92,7 @@ class EarlierDrives:
         self._threads = threads
         self._is_new_drive = is_new_drive
         self._floor = floor
-        self._found: tuple[tuple[SavedPiece, ...], EarlierPieces | None, tuple[EditsBefore, ...]] | None = None
+        self._found: tuple[tuple[SavedPiece, ...], EarlierPieces | None] | None = None
         self._problem = ""
         self._thread = threading.Thread(target=self._prepare, name="gridslam-earlier", daemon=True)
         self._thread.start()
@@ -115,19 +111,18 @@ class EarlierDrives:
         if self._found is None:
             problem = f"{self._continued.path} cannot be gone on from: {self._problem}"
             raise GridslamError(f"{problem}. The robot is not looked for in it, and no session is saved")
-        pieces, locator, edits = self._found
-        return replace(begun, pieces=pieces, locator=locator, edits=edits)
+        pieces, locator = self._found
+        return replace(begun, pieces=pieces, locator=locator)
 
     def _prepare(self) -> None:
         lower_priority()
         try:
             saved = self._continued.saved
-            pieces, run, edits = saved.pieces, saved.run, self._continued.edits
+            pieces, run = saved.pieces, saved.run
             if self._is_new_drive or run is None:
                 pieces = tuple(SavedDrives.of(saved, threads=self._threads).pieces)
                 run = SavedRun(np.random.default_rng(saved.seed), floor=self._floor)
-                edits = tuple(source.note([piece.trajectories for piece in pieces]) for source in edits)
-            self._found = pieces, locate_in(pieces, self._configuration, run, self._continued.pose), edits
+            self._found = pieces, locate_in(pieces, self._configuration, run, self._continued.pose)
         except Exception as error:  # reported by the filter's thread
             self._problem = describe_error(error)
 
@@ -158,11 +153,11 @@ def begin(
             if run.state is not None and not decision.is_same:
                 restart_at_same_place(run.state, first)
             log(Level.OK, f"session {continued.path}: goes on where it has ended: {reason}")
-            return Beginning(run, saved.pieces, edits=continued.edits), False
+            return Beginning(run, saved.pieces), False
     drives = continued.names
     log(Level.OK, f"session {continued.path}: goes on elsewhere, the robot is looked for in its map: {reason}")
     run = SavedRun(np.random.default_rng(saved.seed + len(drives)), name=choose_name(name, drives), floor=floor)
-    return Beginning(run, edits=continued.edits), True
+    return Beginning(run), True
 
 
 def describe_drives(names: Sequence[str]) -> str:

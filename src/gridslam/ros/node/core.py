@@ -81,8 +81,6 @@ class NodeCore:
     ----------
     results_folder : Path
         Where people who ask for it save the results while the node runs.
-    session_file : Path or None
-        Where the session is saved now and then while the node runs; there is no file before the first time.
     messages : Messages
         What was reported so far.
     failure : BaseException or None
@@ -145,7 +143,6 @@ class NodeCore:
             ("diagnostics", _DIAGNOSTICS_S, self._publish_diagnostics),
             ("map", settings.map_update_interval_s, lambda: self._queue.post(self._publish_map)),
         ]
-        self.session_file = None if files is None else files.autosave
         self._autosave: LiveAutosave | None = None
         if files is not None and files.autosave is not None:
             self._autosave = LiveAutosave(files, self.messages.report)
@@ -503,7 +500,7 @@ class NodeCore:
         if saved is not None:
             is_in_file = mapped.continued is not None and mapped.continued.is_in_file
             path = self._goes_on or self.results_folder / "session.gridslam"  # where it is saved if somebody asks
-            self._continued = Continued(path, saved, Place.ELSEWHERE, is_in_file=is_in_file, edits=mapped.edits)
+            self._continued = Continued(path, saved, Place.ELSEWHERE, is_in_file=is_in_file)
 
     def _hand_over_session(self) -> None:
         """Give a copy of a session that ends without a reset to whoever saves it, unless the next one holds it."""

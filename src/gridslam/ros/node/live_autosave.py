@@ -5,12 +5,10 @@ from __future__ import annotations
 import os
 from collections.abc import Callable
 from dataclasses import dataclass
-from functools import partial
 from itertools import count
 from pathlib import Path
 from typing import final
 
-from gridslam.api.session_edits import find_edits, move_session, write_session_and_edits
 from gridslam.errors import GridslamError
 from gridslam.io.sessions.background_writer import BackgroundWriter
 from gridslam.ros.node.continued import Continued
@@ -93,7 +91,7 @@ class LiveAutosave:
         if session is not self._session and not self._is_kept:
             keep_other(self._path, session.continued, self._log)
         self._session, self._saved, self._is_kept = session, session.state, False
-        self._writer.write(self._path, now, partial(write_session_and_edits, sources=session.edits))
+        self._writer.write(self._path, now)
 
     def close(self) -> None:
         """Wait for what is being written."""
@@ -109,8 +107,8 @@ def keep_other(path: Path, continued: Continued | None, log: Callable[[Level, st
     if not path.exists() or _is_same_file(continued, path):
         return
     numbered = (path.with_stem(f"{path.stem}-{number}") for number in count(1))
-    kept = next(name for name in numbered if not (os.path.lexists(name) or os.path.lexists(find_edits(name))))
-    move_session(path, kept)
+    kept = next(name for name in numbered if not os.path.lexists(name))
+    path.replace(kept)
     log(Level.WARN, f"the earlier session {path} is kept as {kept}")
 
 

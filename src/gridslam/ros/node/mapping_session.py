@@ -17,7 +17,6 @@ import numpy as np
 
 from gridslam.api.beginning import Beginning, restart_at_pose
 from gridslam.api.mapping import MapResult, finish_mapping
-from gridslam.api.session_edits import EditsBefore, write_session_and_edits
 from gridslam.config import Configuration, build
 from gridslam.doctor.repair import Repair
 from gridslam.errors import GridslamError, OutputError
@@ -25,7 +24,7 @@ from gridslam.geometry.se2 import compose
 from gridslam.io.log_statistics import LogStatistics, Mounting
 from gridslam.io.measurement import Measurement
 from gridslam.io.sessions.drives import DrivenLog
-from gridslam.io.sessions.session_file import SavedRun, SavedSession
+from gridslam.io.sessions.session_file import SavedRun, SavedSession, write_session
 from gridslam.io.text import compute_digest
 from gridslam.pipeline import FailedStep, FailureRecorder, Observer, Stopwatch, run
 from gridslam.ros.node.accepted_scan import AcceptedScan
@@ -157,12 +156,6 @@ class Session:
             messages,
         )
 
-    @property
-    def edits(self) -> tuple[EditsBefore, ...]:
-        """Those of the session that it continues."""
-        earlier = self._earlier
-        return self._begun.edits if earlier is None or not earlier.is_ready else earlier.add_to(self._begun).edits
-
     def to_session(self, *, wait: bool = False) -> SavedSession | None:
         """Give what a file of the session holds, to be frozen or written before the next scan; None if there is none.
 
@@ -236,11 +229,6 @@ class SessionCopy:
     continued: Continued | None = None
     messages: Sequence[Mapping[str, Any]] = ()
 
-    @property
-    def edits(self) -> tuple[EditsBefore, ...]:
-        """Those of the session that it continues."""
-        return self.beginning.edits
-
     def save(self, folder: str | Path) -> dict[str, Any]:
         """Write the files of `gridslam map` after the final refinement, which takes time; returns run.json's content.
 
@@ -256,12 +244,12 @@ class SessionCopy:
             raise OutputError(f"{folder}: cannot be written: {error.strerror or error}") from None
 
     def save_session(self, path: str | Path) -> None:
-        """Write the session file, and beside it the edits of the session that it continues.
+        """Write the session file.
 
         Raises
         ------
         OutputError
-            It cannot be written, or the edits are damaged; then the session is written alone.
+            It cannot be written.
         GridslamError
             What earlier drives have left cannot be gone on from.
         """
@@ -269,7 +257,7 @@ class SessionCopy:
         state = begun.run.state
         assert state is not None
         session = _make_session(self.configuration, self.seed, begun, state, self.log, self.record)
-        write_session_and_edits(path, session, begun.edits)
+        write_session(path, session)
 
     def _whole(self) -> Beginning:
         """What the session has begun with, and what earlier drives have left, which may take time."""

@@ -14,7 +14,6 @@ from typing import Any, Final, final
 import numpy as np
 
 from gridslam.api.mapping import MapResult
-from gridslam.api.session_edits import find_edits
 from gridslam.errors import ArgumentError, ConfigurationError, GridslamError
 from gridslam.io.bags.ros_messages import MessageError, Wire, decode_scan, decode_transforms
 from gridslam.io.output import OutputFolder
@@ -150,7 +149,6 @@ class RosNode:
         self._log(Level.OK, f"session saved: {save.resolve()}")
         if autosave is not None and autosave != save and autosave.exists() and not os.path.samefile(autosave, save):
             autosave.unlink()
-            find_edits(autosave).unlink(missing_ok=True)
 
     def _save_earlier(self, session: SessionCopy) -> None:
         """Save a session to OUT-1, or the next number that is free, while the next session is mapped."""

@@ -14,10 +14,8 @@ import numpy as np
 from gridslam.api.beginning import Place
 from gridslam.api.merging import merge_sessions
 from gridslam.api.session import Session as SavedDrives
-from gridslam.api.session_edits import move_session, set_aside
 from gridslam.config import Configuration
 from gridslam.errors import ArgumentError, GridslamError, InputError, OutputError
-from gridslam.io.edited_maps import apply_edits
 from gridslam.io.maps import write_map
 from gridslam.io.staging import StagingFolder
 from gridslam.localization import KnownMap, MonteCarloConfiguration
@@ -75,7 +73,6 @@ class SessionServices:
         self._core = core
         self._folder = folder
         self._log = log
-        self._written: set[Path] = set()
 
     def standard(self) -> dict[str, tuple[str, Callable[[Any], Answer]]]:
         """Services of std_srvs by name: their types, and what serves a request."""
@@ -135,10 +132,7 @@ class SessionServices:
         path = self._session_path(name)
         copied = self._core.copy_session()
         with _writing(path):
-            if path not in self._written:
-                set_aside(path, copied.edits)
             copied.save_session(path)
-        self._written.add(path)
         return f"session saved: {path.resolve()}"
 
     def deserialize(self, name: str = "", match: MatchType = MatchType.UNSET, pose: FloatArray | None = None) -> str:
@@ -151,7 +145,7 @@ class SessionServices:
         match : MatchType
             At the first node and at a given pose, the robot is looked for about `pose` (3,), which of the first node
             is the origin; unset, the first scan decides. With `LOCALIZE_AT_POSE` the session's map is known from then
-            on, with the edits beside it, and the mapping session waits.
+            on, and the mapping session waits.
         pose : (3,) float64, optional
             Of the robot in the session's map; the origin if it is needed and not given.
 
@@ -167,8 +161,7 @@ class SessionServices:
             place, begin = Place.ELSEWHERE, np.zeros(3) if is_origin else pose
         continued = Continued.read(path, self._core.settings.threads, place, begin)
         if match is MatchType.LOCALIZE_AT_POSE:
-            drives = SavedDrives.open(path, threads=self._core.settings.threads)
-            grid = apply_edits(drives.map, drives.edits_of(0).split(drives.edits)[0])
+            grid = SavedDrives.open(path, threads=self._core.settings.threads).map
             assert begin is not None
             self._localize(grid, continued.saved.configuration, (begin, _GIVEN_VARIANCES))
             return f"localizing in {path}"
@@ -201,16 +194,12 @@ class SessionServices:
             if not merged.is_joined:
                 raise ArgumentError("merge", "a session that shows some of the same places", str(other))
             merged.session.save(joined)
-            move_session(aside, own)
+            aside.replace(own)
         finally:
             staging.remove()
         continued = Continued.read(joined, self._core.settings.threads, Place.ELSEWHERE)
         self._core.ask(lambda: self._core.begin_session(continued))
         return f"going on from {joined.resolve()}: what was mapped, joined with {other.resolve()}"
-
-    def switch(self) -> str:
-        """Switch between localizing in the map so far and mapping; see `localize`."""
-        return self.localize(not self._core.localizes)
 
     def save_map(self, name: str = "") -> str:
         """Write the map as it is to NAME.yaml and NAME.pgm. Raises GridslamError where there is none."""

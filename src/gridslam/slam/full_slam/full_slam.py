@@ -232,10 +232,9 @@ def _summarize(
     """Summarize online loop closure and the final refinement."""
     best = refined.best
     accepted = [c for c in best.accepted_constraints if c.source is ConstraintSource.RECOGNIZED]
-    by_hand = [c for c in best.constraints if c.source is ConstraintSource.BY_HAND]
     online = driven.graph.constraints
     return LoopClosureSummary(
-        closures=key_scan_pairs(accepted + by_hand),
+        closures=key_scan_pairs(accepted),
         tracked_revisits=key_scan_pairs(c for c in online if c.source is ConstraintSource.TRACKED),
         removed=len(best.recognized_constraints) - len(accepted),
         rejected=closure_state.rejected,

@@ -184,7 +184,7 @@ def refine_trajectory(
     """
     graph = closure_state.graph
     frozen = [c for c in graph.constraints if max(c.pair) < graph.frozen]
-    known = [c for c in graph.constraints if c.source in (ConstraintSource.TRACKED, ConstraintSource.BY_HAND)]
+    known = [c for c in graph.constraints if c.source is ConstraintSource.TRACKED]
     known += [c for c in frozen if c.source is ConstraintSource.PROXIMITY]
     scans = closure_state.scans
     batch = scans.batch(scans.keys)
@@ -311,9 +311,7 @@ class _Refinement:
     def _adjust(self, measured: PoseGraph, before: FloatArray, components: IntArray) -> Adjusted:
         """Move key scans from poses (T, 3); those of different components (T,) are not matched to each other."""
         scans, threads = self.closure_state.scans, self.closure_state.threads
-        graph, variance = adjust_key_scans(
-            measured, self.surfaces, self.fives, components, self.graph.rejected, threads
-        )
+        graph, variance = adjust_key_scans(measured, self.surfaces, self.fives, components, threads)
         graph = place_components(graph, before, components)
         score, maps = score_trajectory(self.graph, scans, graph.poses, self.mapper, self.on_progress)
         return Adjusted(graph, graph.edges[len(measured.edges) :], variance, score, maps)
@@ -370,7 +368,7 @@ class _Refinement:
             self.on_progress,
             self.searched,
         )
-        new = [c for c in new if self.graph.allows(c) and (c.determined or c.pair not in pairs)]
+        new = [c for c in new if c.determined or c.pair not in pairs]
         if not new:
             return None
         solver = replace(SOLVER, first_guess="either")  # a wide loop is not reached from where poses are

@@ -64,8 +64,6 @@ def marginalize(graph: KeyGraph, kept: IntArray) -> KeyGraph:
     ]
     thinned.constraints += [chain.carry(closure, users, number) for closure in carried]
     thinned.frozen = int(np.searchsorted(kept, graph.frozen))
-    if graph.rejected is not None:
-        thinned.rejected = np.minimum(np.searchsorted(kept, graph.rejected), len(kept) - 1)
     thinned.correct(np.array(thinned.poses).reshape(-1, 3))
     return thinned
 

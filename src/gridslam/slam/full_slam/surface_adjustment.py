@@ -8,7 +8,6 @@ import numpy as np
 
 from gridslam.geometry.se2 import between, compose
 from gridslam.matching.surfaces import Surfaces
-from gridslam.slam.loop_closure.key_graph import join_near
 from gridslam.slam.loop_closure.scan_archive import ScanArchive
 from gridslam.slam.pose_graph.graph_slam import GraphSlam
 from gridslam.slam.pose_graph.pose_graph import PoseGraph
@@ -57,7 +56,6 @@ def adjust_key_scans(
     surfaces: Surfaces,
     fives: Surfaces,
     components: IntArray,
-    rejected: IntArray | None = None,
     threads: int = 1,
 ) -> tuple[PoseGraph, float]:
     """Return the graph with its key scans moved and the measurements of all pairs, and the variance (m^2) of a point.
@@ -67,8 +65,7 @@ def adjust_key_scans(
     pair, the relative pose that fits best, with the information of its points.
 
     A scan takes part in several pairs: while poses are sought it counts fully in each. In the graph that is returned
-    its pairs share its information, so that covariances follow from it (see `share_information`). Pairs near `rejected`
-    ones (R, 2), which a person has taken away, are left out.
+    its pairs share its information, so that covariances follow from it (see `share_information`).
 
     Parameters
     ----------
@@ -81,8 +78,6 @@ def adjust_key_scans(
     """
     pairs = select_pairs(graph.poses)
     pairs = pairs[np.diff(components[pairs])[:, 0] == 0]
-    for pair in [] if rejected is None else rejected.tolist():
-        pairs = pairs[~join_near(pairs, pair)]
     poses = graph.poses
     for gate_m in _GATES_M:
         whole = _measure(graph.with_poses(poses), surfaces, pairs, gate_m, None, threads)

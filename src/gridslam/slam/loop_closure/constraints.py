@@ -10,7 +10,7 @@ from typing import Annotated, NamedTuple, final
 import numpy as np
 
 from gridslam.arguments import index_of
-from gridslam.geometry.se2 import adjoint, between, inverse, rotate_covariances
+from gridslam.geometry.se2 import between, rotate_covariances
 from gridslam.matching.gauss_newton import degenerate_direction
 from gridslam.types import FloatArray, IntArray, Match
 
@@ -32,9 +32,6 @@ class ConstraintSource(IntEnum):
 
     RECOGNIZED = 2
     """Found by place recognition, unambiguously."""
-
-    BY_HAND = 3
-    """Added by a person; never rejected as an outlier."""
 
 
 @final
@@ -60,15 +57,6 @@ class Constraint(NamedTuple):
     def identity(self) -> tuple[int, int, bytes]:
         """Key scans and measurement, by which a constraint is found again among others."""
         return self.from_, self.to, self.measurement.tobytes()
-
-    def in_order(self) -> Constraint:
-        """Return the same measurement as one of the later key scan, seen from the older one."""
-        if self.from_ < self.to:
-            return self
-        seen = inverse(self.measurement)
-        turn = adjoint(seen)
-        information = turn.T @ self.information @ turn
-        return self._replace(from_=self.to, to=self.from_, measurement=seen, information=information)
 
     @classmethod
     def from_match(

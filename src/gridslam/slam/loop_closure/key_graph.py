@@ -67,16 +67,6 @@ def anchor_of(submap: int) -> int:
     return first_key_scan(submap) + KEY_SCANS_PER_SUBMAP // 2
 
 
-def join_near(
-    edges: IntArray, pair: tuple[int, int], reaches: int | IntArray = KEY_SCANS_PER_SUBMAP
-) -> NDArray[np.bool_]:
-    """Whether both ends of edges (E, 2) lie nearer to a pair of key scans than `reaches`, one number or one each (E,).
-
-    In either order of the ends.
-    """
-    return np.asarray(np.abs(np.sort(edges, axis=1) - sorted(pair)).max(axis=1) < reaches)
-
-
 def position_sigmas(covariances: FloatArray) -> FloatArray:
     """Greatest standard deviations (K,) of the position, of covariances (K, 3, 3)."""
     xx, xy, yy = covariances[:, [0, 0, 1], [0, 1, 1]].T
@@ -159,8 +149,6 @@ class KeyGraph:
         Matches of key scans to older submaps.
     frozen : int
         Number of first key scans that are frozen: their poses stay as they are, whatever is found out later.
-    rejected : (E, 2) int64 or None
-        Key scans that a person has found not to be a closure, the older one first: see `allows`.
 
     References
     ----------
@@ -175,7 +163,6 @@ class KeyGraph:
     drift_covariances: Annotated[list[Annotated[FloatArray, 3, 3]], "T"] = field(default_factory=list)
     constraints: list[Constraint] = field(default_factory=list)
     frozen: Annotated[int, Limits(0, "T")] = 0
-    rejected: Annotated[IntArray, None, 2, Limits(0, "T")] | None = None
     # metres driven up to each key scan, as tracked
     _driven_m: list[float] = field(init=False, default_factory=list, metadata=NOT_SAVED)
     # number of gaps in the laser data up to each key scan
@@ -258,27 +245,9 @@ class KeyGraph:
         self._derive()
 
     def add(self, constraint: Constraint) -> None:
-        """Add a measurement between two key scans, unless a person has rejected it."""
-        if self.allows(constraint):
-            self.constraints.append(constraint)
-            self._use([constraint])
-
-    def reject(self, from_: int, to: int) -> None:
-        """Let nothing but a person join two key scans, or those near both by a submap's length.
-
-        What a person has added goes where it joins just these two.
-        """
-        edges = np.array([c.pair for c in self.constraints], np.int64).reshape(-1, 2)
-        is_by_hand = np.array([c.source is ConstraintSource.BY_HAND for c in self.constraints], np.bool_)
-        goes = join_near(edges, (from_, to), np.where(is_by_hand, 1, KEY_SCANS_PER_SUBMAP))
-        self.constraints = [c for c, is_near in zip(self.constraints, goes, strict=True) if not is_near]
-        pair = np.array([sorted((from_, to))], np.int64)
-        self.rejected = pair if self.rejected is None else np.concatenate([self.rejected, pair])
-
-    def allows(self, constraint: Constraint) -> bool:
-        """Whether a constraint is not rejected by a person, or was added by one."""
-        is_by_hand = constraint.source is ConstraintSource.BY_HAND
-        return self.rejected is None or is_by_hand or not join_near(self.rejected, constraint.pair).any()
+        """Add a measurement between two key scans."""
+        self.constraints.append(constraint)
+        self._use([constraint])
 
     def append(self, later: KeyGraph, poses: FloatArray, variances: tuple[float, float]) -> None:
         """Append the key scans of another graph, at `poses` (K, 3) in this one's map, and its constraints.
@@ -288,10 +257,6 @@ class KeyGraph:
         stays so, what is of the other one moves here.
         """
         first = len(self)
-        rejected = [
-            graph.rejected + shift for graph, shift in ((self, 0), (later, first)) if graph.rejected is not None
-        ]
-        self.rejected = np.concatenate(rejected) if rejected else None
         last = compose(later.tracked[0], between(poses[0], self.poses[-1]))
         self.tracked = [*compose(last, between(self.tracked[-1], np.array(self.tracked))), *later.tracked]
         unknown = np.diag(np.take(variances, [0, 0, 1]))
@@ -312,8 +277,6 @@ class KeyGraph:
             del own[keys:]
         self.constraints = [constraint for constraint in self.constraints if constraint.to < keys]
         self.frozen = min(self.frozen, keys)
-        if self.rejected is not None:
-            self.rejected = self.rejected[self.rejected[:, 1] < keys]
         self.correct(np.array(self.poses))
 
     def correct(self, poses: FloatArray) -> None:
@@ -431,7 +394,7 @@ class KeyGraph:
             np.concatenate([chain, key_scan_pairs(known)]),
             np.concatenate([between(tracked[:-1], tracked[1:]) if increments is None else increments, measurements]),
             np.concatenate([steps, np.array([t.information for t in known]).reshape(-1, 3, 3)]),
-            np.array([True] * (count - 1) + [t.source is ConstraintSource.BY_HAND for t in known], np.bool_),
+            np.arange(count - 1 + len(known)) < count - 1,
             min(max(self.frozen, 1), count),
         )
 

@@ -187,18 +187,6 @@ class LoopClosure:
         state.closure_state = joined
         return joined
 
-    def follow(
-        self, state: FilterState, closure_state: LoopClosureState, mapper: OccupancyGridMapping, threads: int
-    ) -> None:
-        """Let the filter continue from the graph, which was edited: its particles share its poses and one map."""
-        poses = np.array(closure_state.graph.poses)
-        maps = mapper.empty(1, threads)
-        insert_key_scans(maps, closure_state.scans, range(len(poses)), poses, closure_state.graph)
-        closure_state.online_poses = list(poses)
-        closure_state.pending_constraints = closure_state.correction = None
-        state.replace_trajectory(poses, maps)
-        state.drift = closure_state.graph.drift
-
     def _add_key_scan(self, closure_state: LoopClosureState, state: FilterState) -> None:
         """Add the newest key scan, where it was tracked to."""
         graph = closure_state.graph
@@ -226,7 +214,7 @@ class LoopClosure:
         closure_state.search.is_undecided = False
         accepted, rejected = self.recognition.decide(closure_state)
         known = {constraint.identity for constraint in graph.constraints}
-        new = [c for c in accepted if c.identity not in known and graph.allows(c)]
+        new = [c for c in accepted if c.identity not in known]
         refuted = known.intersection(constraint.identity for constraint in rejected)
         if refuted:
             graph.constraints = [constraint for constraint in graph.constraints if constraint.identity not in refuted]
