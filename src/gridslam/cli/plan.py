@@ -69,9 +69,8 @@ def _describe(source: Path, plan: FloorPlan, scale: int, made_from: str) -> dict
         "bounds_m": [low, high],
         "dominant_deg": float(np.rad2deg(plan.dominant_rad)),
         "turned_deg": float(np.rad2deg(plan.turned_rad)),
-        "walls": len(plan.walls) + len(plan.arcs),
-        "walls_length_m": sum(wall.length_m for wall in plan.walls) + sum(arc.length_m for arc in plan.arcs),
-        "arcs": len(plan.arcs),
+        "walls": len(plan.walls),
+        "walls_length_m": sum(wall.length_m for wall in plan.walls),
         "doors": [
             {"kind": o.kind, "width_m": o.width_m, "middle_m": o.ends.mean(axis=0).tolist()} for o in plan.openings
         ],
@@ -85,10 +84,9 @@ def _describe(source: Path, plan: FloorPlan, scale: int, made_from: str) -> dict
 
 def _summarize(plan: FloorPlan, document: dict[str, Any], out: Path) -> Iterator[str]:
     thick = sum(wall.thickness_m is not None for wall in plan.walls)
-    round_ones = f"{len(plan.arcs)} round, " if plan.arcs else ""
     yield (
         f"{counted(document['walls'], 'wall')}, {document['walls_length_m']:.0f} m, {thick} of them with their "
-        f"thickness, {round_ones}from {document['made_from']}; most run at {document['dominant_deg']:.2f} deg"
+        f"thickness, from {document['made_from']}; most run at {document['dominant_deg']:.2f} deg"
     )
     widths = sorted(opening.width_m for opening in plan.openings)
     yield f"{len(widths)} doors and openings" + (f", {widths[0]:.2f} to {widths[-1]:.2f} m wide" if widths else "")

@@ -13,8 +13,6 @@ from gridslam.plan.floor_plan import FloorPlan
 from gridslam.plan.world import WorldOrigin
 from gridslam.types import FloatArray
 
-_SAGITTA_M = 0.005
-"""Between a round wall and the lines of GeoJSON, which has no arcs."""
 _LAYERS = {"WALLS": 7, "DOORS": 5, "ROOMS": 3, "UNKNOWN": 30, "FURNITURE": 8}
 """Layers of the DXF, and their colours by the index of AutoCAD."""
 
@@ -36,9 +34,6 @@ def describe_features(plan: FloorPlan, origin: WorldOrigin | None = None) -> lis
         else:
             measures["thickness_m"] = round(wall.thickness_m, 3)
             features.append(_feature("walls", _polygon([ring(wall.outline)]), measures))
-    for arc in plan.arcs:
-        measures = {"length_m": round(arc.length_m, 3), "radius_m": round(arc.radius_m, 3)}
-        features.append(_feature("walls", line(arc.points(_SAGITTA_M)), measures))
     for opening in plan.openings:
         measures = {"width_m": round(opening.width_m, 3)}
         features.append(_feature("doors", line(opening.ends), {"kind": opening.kind, **measures}))
@@ -108,9 +103,6 @@ def write_dxf(path: Path, plan: FloorPlan) -> None:
 
     for wall in plan.walls:
         outline(wall.outline if wall.thickness_m else wall.ends, "WALLS", wall.thickness_m is not None)
-    for half in (half for arc in plan.arcs for half in arc.halves()):
-        ends = np.rad2deg([half.begin, half.end]).tolist()
-        space.add_arc(half.centre.tolist(), half.radius_m, *ends, dxfattribs={"layer": "WALLS"})
     for opening in plan.openings:
         outline(opening.ends, "DOORS", False)
         write(f"{opening.width_m:.2f}", opening.ends.mean(axis=0), "DOORS", 0.15)

@@ -41,8 +41,6 @@ class Mark:
     text : str
     upright : bool
         Whether a text is turned by 90 degrees, anticlockwise.
-    radius_mm : float
-        Of an arc, anticlockwise, of at most half a circle, of which the points are; 0 of lines.
     """
 
     layer: str
@@ -54,7 +52,6 @@ class Mark:
     closed: bool = False
     text: str = ""
     upright: bool = False
-    radius_mm: float = 0.0
 
 
 @final
@@ -114,10 +111,6 @@ def _to_svg(mark: Mark, height: float) -> str:
         )
     dash = f' stroke-dasharray="{_DASH_MM[0]} {_DASH_MM[1]}"' if mark.dashed else ""
     line = f' stroke="{_hex(mark.stroke)}" stroke-width="{mark.width_mm:.2f}"{dash}' if mark.stroke else ""
-    if mark.radius_mm:
-        (x, y), (to_x, to_y) = points[[0, -1]].tolist()
-        turn = f"A{mark.radius_mm:.2f} {mark.radius_mm:.2f} 0 0 0 {to_x:.2f} {to_y:.2f}"
-        return f'<path d="M{x:.2f} {y:.2f} {turn}" fill="none"{line}/>'
     corners = " ".join(f"{x:.2f},{y:.2f}" for x, y in points.tolist())
     return f'<{"polygon" if mark.closed else "polyline"} points="{corners}" fill="{_hex(mark.fill)}"{line}/>'
 
