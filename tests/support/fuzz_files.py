@@ -49,7 +49,6 @@ from gridslam.io.log import LogOptions, open_log
 from gridslam.io.maps import read_map, write_map
 from gridslam.io.ros_parameters import read_parameter_file
 from gridslam.io.sessions.session_file import read_session
-from gridslam.io.text import read_json
 from gridslam.io.trajectories import read_relations, read_trajectory, read_trajectory_csv, read_tum
 from gridslam.live.history_file import HISTORY_NAME, read_history
 from gridslam.live.replay import Replay
@@ -57,7 +56,6 @@ from gridslam.localization import KnownMap
 from gridslam.messages import Messages
 from gridslam.plan.drawn_plans import read_drawn_plan
 from gridslam.plan.masks import make_keepout_mask, make_speed_mask
-from gridslam.plan.world import WorldOrigin, format_edits_in_degrees, turn_edits_to_metres
 from gridslam.slam.pose_graph.graph_slam import GraphSlam
 from gridslam.slam.pose_graph.pose_graph import PoseGraph
 from gridslam.types import Trajectory
@@ -587,15 +585,10 @@ def _edits(folder: Path) -> Iterator[Family]:
             (to / "edits.geojson").write_text(json.dumps(exchange(json.loads(text), rng)))
 
     driven = {"day": Trajectory(np.array([10**9]), np.array([[0.5, 0.5, 0.3]]))}
-    world = WorldOrigin(48.0, 11.0)
 
     def read(where: Path) -> None:
-        document = read_json(where / "edits.geojson")
-        with suppress(InputError):
-            parse_edits(turn_edits_to_metres(document | {"units": "degrees"}, world), where)
         EditsBefore(where / "edits.geojson", ({"night": driven["day"]}, driven)).keep([driven])
         edits = read_edits(where / "edits.geojson")
-        format_edits_in_degrees(edits, world)
         assert parse_edits(json.loads(edits.to_text()), where).to_text() == edits.to_text()
         grid = read_edited_map(where / "edits.geojson")
         make_keepout_mask(grid, edits)

@@ -21,7 +21,6 @@ from gridslam.plan.floor_plan import FloorPlan, make_plan
 from gridslam.plan.rooms import name_rooms
 from gridslam.plan.sheet import write_pdf, write_png, write_svg
 from gridslam.plan.source import read_source
-from gridslam.plan.world import WorldOrigin
 
 _NAMES = "plan.svg", "plan.pdf", "plan.png", "plan.dxf", "plan.geojson", "plan.json"
 _CHANGES_NAMES = "changes.png", "changes.geojson", "changes.json"
@@ -35,7 +34,6 @@ def plan_to_folder(
     out: Path,
     scale: int,
     straighten: bool,
-    origin: tuple[float, float, float] | None,
     as_json: bool,
 ) -> None:
     """Make a floor plan, write it to a folder and print a summary."""
@@ -52,8 +50,7 @@ def plan_to_folder(
         write_pdf(folder.file("plan.pdf"), sheet)
         write_png(folder.file("plan.png"), sheet)
         write_dxf(folder.file("plan.dxf"), shown)
-        world = None if origin is None else WorldOrigin(*origin)
-        write_geojson(folder.file("plan.geojson"), shown if world is None else plan, given.name, world)
+        write_geojson(folder.file("plan.geojson"), shown, given.name)
         document = _describe(source, shown, scale, "cells" if given.points is None else "end points")
         folder.write_json("plan.json", document)
     print_result(document, _summarize(shown, document, out), as_json)

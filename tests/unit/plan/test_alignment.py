@@ -1,6 +1,4 @@
-"""Maps are aligned with plans by pairs or by walls, plans are read as they are drawn, and places on the earth fit."""
-
-import struct
+"""Maps are aligned with plans by pairs or by walls, and plans are read as they are drawn."""
 
 import ezdxf
 import numpy as np
@@ -9,12 +7,10 @@ from PIL import Image
 
 from gridslam.errors import InputError
 from gridslam.geometry import se2
-from gridslam.io.maps import map_pixels, read_map, read_map_description, write_map
+from gridslam.io.maps import read_map, read_map_description, write_map
 from gridslam.plan.alignment import align_points, align_walls, fit_pairs
 from gridslam.plan.drawn_plans import read_drawn_plan
-from gridslam.plan.georeference import fit_world, write_geotiff
 from gridslam.plan.surfaces import points_of_grid
-from gridslam.plan.world import WorldOrigin
 from support.drawn_maps import ROOMS, draw_two_rooms
 
 LINES = np.array(
@@ -179,46 +175,3 @@ def test_a_map_is_written_with_a_rotated_origin_and_read_where_it_lies(tmp_path)
 
     apart = walls(turned)[:, None] - se2.transform_points(pose, 1.5 * walls(grid))[None]
     assert np.hypot(*apart.transpose(2, 0, 1)).min(axis=1).max() <= 0.7072 * turned.resolution_m
-
-
-@pytest.mark.parametrize("origin", [WorldOrigin(48.1, 11.5, 30.0), WorldOrigin(-33.9, 151.2, 300.0), WorldOrigin(0, 0)])
-def test_degrees_and_metres_are_inverse_and_pairs_find_the_origin(origin):
-    places = np.array([[0.0, 0.0], [120.0, 10.0], [60.0, -80.0]])
-    degrees = origin.to_degrees(places)
-    assert origin.to_metres(degrees) == pytest.approx(places, abs=1e-6)
-    found, left = fit_world(places, degrees[:, ::-1])
-    assert left.max() < 0.001
-    assert found.to_degrees(places) == pytest.approx(degrees, abs=1e-8)
-    assert found.bearing == pytest.approx(origin.bearing, abs=1e-3)
-
-
-def _read_tags(data):
-    """Tags of a TIFF with their values: a reader of its own (TIFF 6.0, section 2)."""
-    order = {b"II": "<", b"MM": ">"}[data[:2]]
-    (at,) = struct.unpack_from(order + "I", data, 4)
-    (count,) = struct.unpack_from(order + "H", data, at)
-    tags = {}
-    for k in range(count):
-        tag, kind, number = struct.unpack_from(order + "HHI", data, at + 2 + 12 * k)
-        letter = {1: "B", 2: "s", 3: "H", 4: "I", 5: "II", 12: "d"}.get(kind)
-        if letter in ("H", "d", "I"):
-            size = struct.calcsize(letter) * number
-            place = at + 10 + 12 * k if size <= 4 else struct.unpack_from(order + "I", data, at + 10 + 12 * k)[0]
-            tags[tag] = struct.unpack_from(order + letter * number, data, place)
-    return tags
-
-
-def test_a_geotiff_has_the_map_and_its_place_in_its_tags(tmp_path):
-    grid, origin = draw_two_rooms(), WorldOrigin(48.1, 11.5, 30.0)
-    write_geotiff(tmp_path / "map.tif", grid, origin)
-    with Image.open(tmp_path / "map.tif") as image:
-        assert (np.asarray(image)[::-1] == map_pixels(grid)).all()
-    tags = _read_tags((tmp_path / "map.tif").read_bytes())
-    keys = np.reshape(tags[34735], (-1, 4))
-    assert keys[0].tolist() == [1, 1, 1, len(keys) - 1]
-    assert {int(key): int(value) for key, _, _, value in keys[1:]} == {1024: 2, 1025: 1, 2048: 4326, 2054: 9102}
-    matrix = np.reshape(tags[34264], (4, 4))
-    height, width = grid.shape
-    for column, row in ((0, 0), (width, 0), (width, height), (7, 31)):
-        place = np.array(grid.origin) + grid.resolution_m * np.array([column, height - row])
-        assert (matrix @ [column, row, 0, 1])[:2] == pytest.approx(origin.to_degrees(place[None])[0], abs=1e-11)

@@ -14,7 +14,6 @@ from gridslam.plan import make_plan
 from gridslam.plan.drawing import draw_plan
 from gridslam.plan.exports import write_dxf, write_geojson
 from gridslam.plan.sheet import write_pdf, write_png, write_svg
-from gridslam.plan.world import WorldOrigin
 from support.drawn_maps import draw_two_rooms
 
 
@@ -85,9 +84,8 @@ def _signed_area(ring):
     return 0.5 * np.sum(x * np.roll(y, -1) - np.roll(x, -1) * y)
 
 
-@pytest.mark.parametrize("origin", [None, WorldOrigin(48.0, 11.5), WorldOrigin(-33.9, 151.2, 20.0)])
-def test_the_geojson_keeps_to_rfc_7946(plan, tmp_path, origin):
-    write_geojson(tmp_path / "plan.geojson", plan, "two rooms", origin)
+def test_the_geojson_keeps_to_rfc_7946(plan, tmp_path):
+    write_geojson(tmp_path / "plan.geojson", plan, "two rooms")
     document = json.loads((tmp_path / "plan.geojson").read_text(encoding="utf-8"))
     assert document["type"] == "FeatureCollection"
     assert "crs" not in document  # section 4: no longer there
@@ -103,20 +101,4 @@ def test_the_geojson_keeps_to_rfc_7946(plan, tmp_path, origin):
                 assert len(ring) >= 4
                 assert ring[0] == ring[-1]
                 assert (_signed_area(ring) > 0) == (number == 0)  # section 3.1.6: the right-hand rule
-            if origin is not None:
-                assert np.abs(np.array(ring) - [origin.longitude, origin.latitude]).max() < 0.001
     assert {"walls", "doors", "rooms", "furniture"} <= layers
-
-
-@pytest.mark.parametrize(
-    ("latitude", "north_m", "east_m"),
-    [(0.0, 110_574.3, 111_319.5), (45.0, 111_131.7, 78_846.8), (60.0, 111_412.2, 55_800.0)],
-)
-def test_a_degree_is_as_long_as_on_the_ellipsoid(latitude, north_m, east_m):
-    """Lengths of a degree on WGS84 as tables have them (National Geospatial-Intelligence Agency), m."""
-    origin = WorldOrigin(latitude, 10.0)
-    (lon, lat), *_ = origin.to_degrees(np.array([[100.0, 50.0]]))
-    assert (lon - 10.0) * east_m == pytest.approx(100.0, abs=0.003)
-    assert (lat - latitude) * north_m == pytest.approx(50.0, abs=0.003)
-    turned = origin._replace(bearing=0.0).to_degrees(np.array([[50.0, -100.0]]))  # the x axis to the north
-    assert turned[0] == pytest.approx([lon, lat], abs=1e-9)
