@@ -10,7 +10,7 @@ from gridslam.cli.main import main
 from gridslam.io.maps import write_map
 from support.drawn_maps import draw_two_rooms
 
-NAMES = {"plan.svg", "plan.pdf", "plan.png", "plan.dxf", "plan.geojson", "plan.json"}
+NAMES = {"plan.svg", "plan.png", "plan.dxf", "plan.geojson", "plan.json"}
 
 
 @pytest.fixture

@@ -19,10 +19,10 @@ from gridslam.plan.drawing import draw_plan
 from gridslam.plan.exports import write_dxf, write_geojson
 from gridslam.plan.floor_plan import FloorPlan, make_plan
 from gridslam.plan.rooms import name_rooms
-from gridslam.plan.sheet import write_pdf, write_png, write_svg
+from gridslam.plan.sheet import write_png, write_svg
 from gridslam.plan.source import read_source
 
-_NAMES = "plan.svg", "plan.pdf", "plan.png", "plan.dxf", "plan.geojson", "plan.json"
+_NAMES = "plan.svg", "plan.png", "plan.dxf", "plan.geojson", "plan.json"
 _CHANGES_NAMES = "changes.png", "changes.geojson", "changes.json"
 _LEAST_SHARE = 0.3
 """Of a map's surfaces that must lie on the other one's: two days of one building have more than half."""
@@ -47,7 +47,6 @@ def plan_to_folder(
         shown = plan.straighten() if straighten else plan
         sheet = draw_plan(shown, given.name, scale)
         write_svg(folder.file("plan.svg"), sheet)
-        write_pdf(folder.file("plan.pdf"), sheet)
         write_png(folder.file("plan.png"), sheet)
         write_dxf(folder.file("plan.dxf"), shown)
         write_geojson(folder.file("plan.geojson"), shown, given.name)
@@ -92,7 +91,7 @@ def _summarize(plan: FloorPlan, document: dict[str, Any], out: Path) -> Iterator
     yield f"{counted(len(plan.rooms) - len(looked_into), 'room')}, {area_m2:.0f} m\u00b2" + (
         f"; {len(looked_into)} more that were only looked into, {sum(looked_into):.0f} m\u00b2" if looked_into else ""
     )
-    yield f"plan, 1:{document['scale']}: {out / 'plan.png'}, {out / 'plan.svg'}, {out / 'plan.pdf'}"
+    yield f"plan, 1:{document['scale']}: {out / 'plan.png'}, {out / 'plan.svg'}"
     yield f"for other programs: {out / 'plan.dxf'}, {out / 'plan.geojson'}"
 
 

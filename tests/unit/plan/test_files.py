@@ -1,8 +1,6 @@
 """The files of a plan are what their formats ask for, and have its measures."""
 
 import json
-import re
-import zlib
 from xml.etree import ElementTree
 
 import ezdxf
@@ -13,7 +11,7 @@ from PIL import Image
 from gridslam.plan import make_plan
 from gridslam.plan.drawing import draw_plan
 from gridslam.plan.exports import write_dxf, write_geojson
-from gridslam.plan.sheet import write_pdf, write_png, write_svg
+from gridslam.plan.sheet import write_png, write_svg
 from support.drawn_maps import draw_two_rooms
 
 
@@ -35,22 +33,6 @@ def test_the_svg_is_to_scale(plan, tmp_path, scale):
     rooms = next(group for group in root.iter(f"{space}g") if group.get("class") == "rooms")
     corners = np.array([pair.split(",") for pair in rooms[0].get("points").split()], float)
     assert np.ptp(corners, axis=0) == pytest.approx([6000 / scale, 4000 / scale], abs=150 / scale)
-
-
-def test_the_pdf_has_its_objects_where_its_table_has_them(plan, tmp_path):
-    sheet = draw_plan(plan, "two (rooms) \\", 100)
-    write_pdf(tmp_path / "plan.pdf", sheet)
-    data = (tmp_path / "plan.pdf").read_bytes()
-    start = int(re.search(rb"startxref\n(\d+)\n%%EOF", data).group(1))
-    assert data[start:].startswith(b"xref\n0 7\n")
-    offsets = [int(row) for row in re.findall(rb"(\d{10}) 00000 n ", data[start:])]
-    assert [data[at:].split(b" obj")[0] for at in offsets] == [f"{k} 0".encode() for k in range(1, 7)]
-    box = re.search(rb"MediaBox \[0 0 ([\d.]+) ([\d.]+)\]", data)
-    assert [float(side) for side in box.groups()] == pytest.approx([s * 72 / 25.4 for s in sheet.size_mm], abs=0.01)
-    stream = re.search(rb"/Length (\d+) /Filter /FlateDecode >>\nstream\n", data)
-    content = zlib.decompress(data[stream.end() : stream.end() + int(stream.group(1))])
-    assert rb"(two \(rooms\) \\   1:100) Tj" in content
-    assert "m\u00b2".encode("latin-1") in content
 
 
 def test_the_png_shows_the_walls(plan, tmp_path):

@@ -24,7 +24,7 @@ _floor_option = click.option(
     default=100,
     show_default=True,
     metavar="N",
-    help="Scale 1:N of the SVG and the PDF.",
+    help="Scale 1:N of the SVG.",
 )
 @click.option("--straighten", is_flag=True, help="Turn the plan so that most walls run along its axes.")
 @json_option
@@ -34,7 +34,7 @@ def plan_command(**options: Any) -> None:  # noqa: ANN401
     SOURCE is a map's YAML file, its edits (see `gridslam mask`), the folder OUT of `gridslam map`, or a session. Where
     there are scans the walls are fitted to their end points, and otherwise to the map's cells.
 
-    Writes to OUT: plan.svg and plan.pdf (to scale), plan.png, plan.dxf (CAD), plan.geojson and plan.json.
+    Writes to OUT: plan.svg (to scale), plan.png, plan.dxf (CAD), plan.geojson and plan.json.
     """
     from gridslam.cli.plan import plan_to_folder
 
