@@ -3,6 +3,7 @@
 import json
 from functools import partial
 
+import ezdxf
 import numpy as np
 import pytest
 from PIL import Image
@@ -83,13 +84,13 @@ def test_a_map_of_another_day_is_a_plan(call, drawn, tmp_path):
         (["plan.png", "--pair", "nan,0=1,1", "--pair", "1,1=2,2"], "finite numbers"),
         (["plan.png", "--by-pairs"], "expected two to six --pair"),
         (["plan.png", "--unit", "0.4"], "of its walls agree with it"),
-        (["empty.svg", "--unit", "1"], "expected a plan with lines"),
+        (["empty.dxf", "--unit", "1"], "expected a plan with lines"),
     ],
 )
 def test_what_cannot_be_aligned_is_one_line(call, drawn, tmp_path, arguments, problem):
     folder, _, _ = drawn
-    (folder / "empty.svg").write_text("<svg/>")
-    given = [folder / word if word.endswith(("png", "svg", "yaml")) else word for word in arguments]
+    ezdxf.new().saveas(folder / "empty.dxf")
+    given = [folder / word if word.endswith(("png", "dxf", "yaml")) else word for word in arguments]
     status, out, err = call(folder / "map.yaml", *given, "-o", tmp_path / "out")
     assert (status, out, err.count("\n")) == (2, "", 1)
     assert problem in err

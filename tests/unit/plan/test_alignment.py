@@ -37,12 +37,6 @@ def test_pairs_give_back_motion_and_scale(seed):
     assert found.transform(here) == pytest.approx(se2.transform_points(pose, scale * here))
 
 
-def _write_svg(path, lines, height=20.0):
-    places = np.column_stack([lines.reshape(-1, 2)[:, 0], height - lines.reshape(-1, 2)[:, 1]]).reshape(-1, 4)
-    drawn = "".join('<line x1="{}" y1="{}" x2="{}" y2="{}"/>'.format(*line) for line in places)
-    path.write_text(f'<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 30 {height}"><g>{drawn}</g></svg>')
-
-
 def _write_dxf(path, lines, units=ezdxf.units.CM):
     drawing = ezdxf.new("R2010")
     drawing.header["$INSUNITS"] = units
@@ -98,45 +92,21 @@ def test_a_dxf_may_state_no_unit(tmp_path):
         read_drawn_plan(tmp_path / "plan.dxf")
 
 
-def test_shapes_of_an_svg_lie_where_they_are_transformed_to(tmp_path):
-    text = """<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 100 50">
-    <defs><line x1="0" y1="0" x2="9" y2="9"/></defs>
-    <g transform="translate(10 5) scale(2)"><rect x="1" y="2" width="3" height="4"/></g>
-    <g transform="rotate(90 10 10)"><polyline points="10,10 20,10"/></g>
-    <path transform="matrix(1 0 0 -1 0 20)" d="M1 1 h2 v3 L 0,0 Z m 5 5 l1,1"/><polygon points="0 0 1 0 1 1"/></svg>"""
-    (tmp_path / "plan.svg").write_text(text)
-    plan = read_drawn_plan(tmp_path / "plan.svg")
-    assert plan.unit_m is None
-    found = {
-        tuple(np.round(line.reshape(-1), 6)) for line in np.stack([plan.lines[..., 0], 50 - plan.lines[..., 1]], -1)
-    }
-    for expected in (
-        (12, 9, 18, 9), (18, 9, 18, 17), (18, 17, 12, 17), (12, 17, 12, 9),  # the rectangle
-        (10, 10, 10, 20),  # turned about its beginning
-        (1, 19, 3, 19), (3, 19, 3, 16), (3, 16, 0, 20), (0, 20, 1, 19), (6, 14, 7, 13),  # the path, mirrored
-        (0, 0, 1, 0), (1, 0, 1, 1), (1, 1, 0, 0),
-    ):  # fmt: skip
-        assert expected in found
-    assert len(found) == 13
-
-
-@pytest.mark.parametrize("kind", ["svg", "dxf", "png"])
+@pytest.mark.parametrize("kind", ["dxf", "png"])
 def test_a_map_is_laid_on_a_turned_plan_by_its_walls(tmp_path, kind):
     grid = draw_two_rooms(table=None)
     pose = np.array([12.0, 3.0, 0.6])
     lines = se2.transform_points(pose, LINES.reshape(-1, 2)).reshape(-1, 2, 2)
     lines[::2] = lines[::2, ::-1].copy()  # nobody draws them with the room to their left
     path = tmp_path / f"plan.{kind}"
-    if kind == "svg":
-        _write_svg(path, lines)
-    elif kind == "dxf":
+    if kind == "dxf":
         _write_dxf(path, lines)
     else:
         turned = draw_two_rooms(0.6, 0.02, table=None)
         Image.fromarray(np.where(turned.log_odds > 0, 0, 255).astype(np.uint8)[::-1]).save(path)
         pose = np.array([*-np.array(turned.origin), 0.6])
     plan = read_drawn_plan(path)
-    unit_m = {"svg": 1.0, "dxf": 0.01, "png": 0.02}[kind]
+    unit_m = {"dxf": 0.01, "png": 0.02}[kind]
     moved, fixed = points_of_grid(grid), plan.surfaces(unit_m)
     found = align_walls(moved, fixed, align_points(moved, fixed, True))
     corners = np.array([[0, 0], [10, 0], [10, 4], [0, 4]], float)
@@ -149,11 +119,9 @@ def test_a_map_is_laid_on_a_turned_plan_by_its_walls(tmp_path, kind):
     assert again.transform(corners) == pytest.approx(found.transform(corners), abs=0.02)
 
 
-@pytest.mark.parametrize(
-    "text", ["", "<svg", "<svg/>", "<!DOCTYPE a [<!ENTITY b 'c'>]><svg/>", "<svg><line x1='1'", "<svg height='auto'/>"]
-)
+@pytest.mark.parametrize("text", ["", "0\nSECTION", "<svg/>"])
 def test_what_is_no_plan_is_refused_by_name(tmp_path, text):
-    for name in ("plan.svg", "plan.dxf", "plan.png"):
+    for name in ("plan.dxf", "plan.png"):
         (tmp_path / name).write_text(text)
         with pytest.raises(InputError, match=name.replace(".", r"\.")):
             read_drawn_plan(tmp_path / name)

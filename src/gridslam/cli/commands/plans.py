@@ -132,8 +132,8 @@ def _read_pairs(ctx: click.Context, param: click.Parameter, texts: tuple[str, ..
 def align_command(pairs: Any, by_pairs: bool, **options: Any) -> None:  # noqa: ANN401
     """Align MAP with an architect's plan or another map.
 
-    MAP is a map's YAML file, the folder OUT of `gridslam map`, or a session; PLAN an image (dark walls), an SVG, a DXF,
-    or another map. Places in images and SVG are counted from the left and the top. Walls are matched, from the place of
+    MAP is a map's YAML file, the folder OUT of `gridslam map`, or a session; PLAN an image (dark walls), a DXF,
+    or another map. Places in images are counted from the left and the top. Walls are matched, from the place of
     the pairs or without a first guess.
 
     Writes to OUT: align.json (with residuals), map.yaml (in the plan's frame, with a rotated origin) and align.png.
