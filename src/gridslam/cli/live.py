@@ -196,8 +196,6 @@ def node_page(live: LiveOptions, title: str, core: NodeCore, known: OccupancyGri
             save=lambda name: services.answer(services.save),
             serialize=on_session(services.serialize),
             go_on=on_session(services.deserialize),
-            merge=on_session(services.merge),
-            localize=lambda name: services.answer(services.switch),
         )
     robot = RobotControl(lambda: core.is_paused, core.pause, commands)
     page = LivePage(title, live, range_max_m=core.configuration.range_max_m, known=known, robot=robot)

@@ -20,8 +20,6 @@ _SLOW = {  # commands that take long: what is answered at once, and in the end
     "save": ("saving", "saved"),
     "serialize": ("saving the session", "done"),
     "go_on": ("reading the session", "continued"),
-    "merge": ("merging, while the robot maps", "merged"),
-    "localize": ("switching", "switched"),
 }
 _MAX_WAIT_S = 0.25  # longer waits are split, so that signals and requests are processed
 
@@ -153,10 +151,10 @@ class RobotCommands(NamedTuple):
         Makes the pose unknown: the robot is located anywhere in the known map.
     reset : callable, optional
         Starts again, with an empty map.
-    save, serialize, go_on, merge, localize : callable, optional
-        Called with the name of a session, empty for the usual one, they write the results or the session, continue that
-        one, join it with what is mapped, or localize in the map so far (again: continue mapping). They return
-        whether they succeeded, and a message; they may take long, and run in a thread of their own.
+    save, serialize, go_on : callable, optional
+        Called with the name of a session, empty for the usual one, they write the results or the session, or continue
+        that one. They return whether they succeeded, and a message; they may take long, and run in a thread of their
+        own.
     """
 
     set_pose: Callable[[tuple[FloatArray, FloatArray]], None] | None = None
@@ -165,8 +163,6 @@ class RobotCommands(NamedTuple):
     save: Callable[[str], tuple[bool, str]] | None = None
     serialize: Callable[[str], tuple[bool, str]] | None = None
     go_on: Callable[[str], tuple[bool, str]] | None = None
-    merge: Callable[[str], tuple[bool, str]] | None = None
-    localize: Callable[[str], tuple[bool, str]] | None = None
 
     @property
     def names(self) -> list[str]:

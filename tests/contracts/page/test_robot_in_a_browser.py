@@ -22,7 +22,7 @@ from support.browsing import (
 )
 from support.localization_world import flat_map
 
-SESSION = "serialize", "go_on", "merge", "localize"
+SESSION = "serialize", "go_on"
 
 
 class Robot:
@@ -135,7 +135,7 @@ def test_the_past_of_a_running_filter(browser, drive, screenshot):
         wait(lambda: int(told(browser)["tiles"]) == tiles, "all of the map")
 
 
-def test_sessions_are_saved_continued_merged_and_localized_in_by_buttons(browser, screenshot):
+def test_sessions_are_saved_and_continued_by_buttons(browser, screenshot):
     """Named by what is typed, whose letters are no keys of the page."""
     robot = Robot(*SESSION)
     page = LivePage("robot", LiveOptions(port=0), robot=robot.control)
@@ -155,4 +155,4 @@ def test_sessions_are_saved_continued_merged_and_localized_in_by_buttons(browser
         field.send_keys("../../etc/map")
         click(browser, "serialize")
         wait(lambda: "in the node's folder" in text(browser, "#answer"), "the refusal")
-        assert len(robot.done) == 4
+        assert len(robot.done) == 2

@@ -1,7 +1,7 @@
 // What viewers may make a robot do: set its pose by a drag, locate it, reset it, save, and change sessions.
 
 const $ = (selector) => document.querySelector(selector);
-const SESSION = ["serialize", "go_on", "merge", "localize"];
+const SESSION = ["serialize", "go_on"];
 const SURE_MS = 4000, SHORTEST = 8; // px of a drag that sets a heading, too
 
 export class Console {

@@ -22,7 +22,7 @@ from gridslam.doctor.view_breaks import DriveNumbering
 from gridslam.errors import ArgumentError, ConfigurationError, GridslamError, OutputError
 from gridslam.io.maps import grid_of_percent
 from gridslam.io.measurement import Measurement
-from gridslam.localization import KnownMap, MonteCarloConfiguration
+from gridslam.localization import KnownMap
 from gridslam.messages import Level, Messages
 from gridslam.particles import sample_gaussian
 from gridslam.pipeline import FailedStep, Observer, describe_error, isolate
@@ -46,7 +46,7 @@ _FOUND = (SessionEnd.JUMP, SessionEnd.CARRIED)
 """Ends that nobody asked for."""
 _SAVED = (*_FOUND, SessionEnd.SESSION)
 """Ends at which the session is saved."""
-_OTHERS = (SessionEnd.MAP, SessionEnd.SESSION, SessionEnd.SWITCH)
+_OTHERS = (SessionEnd.MAP, SessionEnd.SESSION)
 """Ends after which another session begins even if this one has no scan yet."""
 
 _Answer = TypeVar("_Answer")
@@ -129,9 +129,6 @@ class NodeCore:
         self._known_map: GridMessage | None = None
         self._renderer: MapRenderer | None = None
         self._publisher = StatePublisher(settings, outputs, None, self._queue, self._warn)
-        self._suspended: Session | None = None  # while the robot is localized in its map
-        self._has_switched = False
-        self._began_localizing = isinstance(configuration, Localization)
         self._continued = None if files is None else files.continued
         self._floor = "" if files is None else files.floor
         self._goes_on = None if files is None else files.save or (files.continued and files.continued.path)
@@ -385,38 +382,11 @@ class NodeCore:
         self.configuration = continued.saved.configuration
         self._queue.end_session(SessionEnd.SESSION)
 
-    def localize_in(self, known: KnownMap, configuration: MonteCarloConfiguration, pose: InitialPose) -> None:
-        """Localize in a map from the next scan on; in the filter's thread. The mapping session waits."""
-        if pose is not None:
-            known.require(pose[0])
-        if isinstance(self._session, Session) and self._session.state is not None:
-            self._suspended = self._session
-        self.configuration = Localization(known, configuration, pose)
-        if self._renderer is not None:
-            self._renderer.finish()
-        self._show_known_map(make_grid_message(known.grid, self.settings, 0))
-        self._queue.end_session(SessionEnd.SWITCH)
-
-    def resume_mapping(self) -> None:
-        """Go on with the mapping session that waits, from where the robot is localized; in the filter's thread.
-
-        Raises ArgumentError if none waits, or the robot is lost.
-        """
-        session = self._suspended
-        if session is None or not self.localizes:
-            raise ArgumentError("localize", "a mapping session that waits", "none")
-        if self._publisher.is_lost:
-            raise ArgumentError("localize", "a robot that knows where it is", "one that is lost")
-        is_located = self._publisher.latest_pose is not None  # otherwise there was no scan since it waits
-        session.map_from_odom = self._publisher.map_from_odom if is_located else None
-        self.configuration = session.configuration
-        self._queue.end_session(SessionEnd.SWITCH)
-
     @property
     def mapped_session(self) -> Session | None:
-        """The mapping session, at work or waiting; None if nothing is mapped yet. For the filter's thread."""
-        mapped = self._session if isinstance(self._session, Session) else self._suspended
-        return None if mapped is None or mapped.state is None else mapped
+        """The mapping session; None if nothing is mapped yet. For the filter's thread."""
+        session = self._session
+        return session if isinstance(session, Session) and session.state is not None else None
 
     def _copy_mapped(self, *, is_last: bool = False) -> SessionCopy:
         mapped = self.mapped_session
@@ -427,8 +397,7 @@ class NodeCore:
                 else "there was no scan yet"
             )
             raise GridslamError(f"nothing is mapped: {why}")
-        record = None if self._has_switched else self._whole_record()
-        return mapped.copy(record, is_last=is_last, messages=self.messages.to_list())
+        return mapped.copy(self._whole_record(), is_last=is_last, messages=self.messages.to_list())
 
     def _run_filter(self) -> None:
         """Run the sessions one after the other."""
@@ -449,10 +418,6 @@ class NodeCore:
         forgets = end is SessionEnd.RESET and isinstance(self._session, Session) and self._session.continued is not None
         if not is_begun and end not in _OTHERS and not forgets:
             return
-        if end is SessionEnd.SWITCH:
-            self._has_switched = True
-            self._begin_session()
-            return
         is_carried = end is SessionEnd.CARRIED
         if is_begun:
             if is_carried or (end is SessionEnd.JUMP and self._goes_on is not None):
@@ -460,7 +425,6 @@ class NodeCore:
             self._hand_over_session()
             if self._renderer is not None:
                 self._renderer.reset()
-        self._suspended = None
         self._begin_session()
         if is_begun and not is_carried:  # what is recorded is split by `gridslam map` where the node has
             self._close_record()
@@ -470,24 +434,21 @@ class NodeCore:
     def _run_session(self) -> bool:
         """Map until the session ends; return whether another one follows."""
         source = self._measurements()
-        is_viewed = self.localizes == self._began_localizing  # viewers know one kind of filter
-        for wrap in self._wrappers if is_viewed else ():
+        for wrap in self._wrappers:
             source = wrap(source)
         first = next(source, None)
         if first is not None:
-            viewers = self._observers if is_viewed else ()
             observers = [
                 isolate(self._publisher, partial(self._warn, "publishing failed")),
-                *(isolate(observer, partial(self._warn, "viewer failed")) for observer in viewers),
+                *(isolate(observer, partial(self._warn, "viewer failed")) for observer in self._observers),
             ]
             self._session.run(chain([first], source), observers, self._report_failure)
         if self._session_end is SessionEnd.CLOSED:
             return False
-        if self._session_end is not SessionEnd.SWITCH:  # which is reported by whoever serves the request
-            end, level = self._session_end, Level.OK  # which was asked for
-            if end in _FOUND:
-                level = Level.ERROR if end is SessionEnd.JUMP and not self.localizes else Level.WARN
-            self.messages.report(level, f"{self._session.restart_message}: {end.value}")
+        end, level = self._session_end, Level.OK  # which was asked for
+        if end in _FOUND:
+            level = Level.ERROR if end is SessionEnd.JUMP and not self.localizes else Level.WARN
+        self.messages.report(level, f"{self._session.restart_message}: {end.value}")
         return True
 
     def _go_on_elsewhere(self) -> None:
@@ -626,13 +587,10 @@ class NodeCore:
             self._session = WaitingSession() if waits else LocalizationSession(self.configuration, self.settings.seed)
             return
         self._use_renderer(self.configuration)
-        if self._session_end is SessionEnd.SWITCH and self._suspended is not None:
-            self._session, self._suspended = self._suspended, None
-        else:
-            seed = self.settings.seed if self._continued is None else self._continued.saved.seed
-            log = self.messages.report
-            self._session = Session(self.configuration, seed, self.settings.threads, self._continued, log, self._floor)
-            self._continued = None  # a later one begins with nothing
+        seed = self.settings.seed if self._continued is None else self._continued.saved.seed
+        log = self.messages.report
+        self._session = Session(self.configuration, seed, self.settings.threads, self._continued, log, self._floor)
+        self._continued = None  # a later one begins with nothing
 
     def _use_renderer(self, configuration: Configuration) -> None:
         """Render maps of this configuration."""

@@ -41,7 +41,6 @@ class SessionEnd(Enum):
     RESET = "reset"
     MAP = "a new map"
     SESSION = "another session"
-    SWITCH = "mapping and localizing in turn"
     JUMP = "time jumped back, and the robot is elsewhere"
     CARRIED = "the robot was carried, and is looked for in the map so far"
     CLOSED = "closed"

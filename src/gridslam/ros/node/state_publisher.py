@@ -141,17 +141,6 @@ class StatePublisher:
             self.publish_map(state)
 
     @property
-    def map_from_odom(self) -> FloatArray:
-        """Pose (3,) of the odometry's frame in the map, after the last scan; without odometry that of the robot."""
-        with self._lock:
-            return self._map_from_odom
-
-    @property
-    def is_lost(self) -> bool:
-        """Whether the robot was lost at the last scan."""
-        return self._report is not None and bool(self._report.lost)
-
-    @property
     def latest_pose(self) -> tuple[FloatArray, FloatArray] | None:
         """Pose (3,) and covariance (3, 3) at the last scan; None without, or if the robot is lost."""
         report = self._report
