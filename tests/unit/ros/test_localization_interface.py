@@ -1,6 +1,5 @@
 """Where AMCL was before: its topics, its services, maps that come as messages, and a managed node."""
 
-import struct
 from types import SimpleNamespace
 
 import numpy as np
@@ -17,9 +16,6 @@ from gridslam.ros.node.parameters import NodeSettings, node_parameters
 from gridslam.ros.node.rendering import make_grid_message
 from gridslam.ros.node.ros_node import RosNode
 from gridslam.ros.node.transport import ALL_TOPICS
-from gridslam.ros.ros2.arguments import parse_ros_arguments
-from gridslam.ros.ros2.lifecycle_services import LifecycleServices
-from gridslam.ros.rtps.qos import Qos
 from support.localization_world import drive as flat_drive
 from support.localization_world import flat_map
 from support.ros_node import LocalTransport, mounting, play, until
@@ -163,24 +159,10 @@ def test_a_map_may_be_set_by_a_service_with_a_pose(map_file, log):
     node.close()
 
 
-def test_the_pose_is_stored_where_it_is_found_again(map_file, log):
-    transport = LocalTransport()
-    node = started({"map_file": str(map_file), "save_pose_rate": 50.0, **placed(log)}, transport)
-    play(node.core, transport.outputs, log.measurements[:20], shift_ns=SHIFT_NS)
-    assert until(lambda: len(transport.outputs.poses) == 20 and hasattr(transport, "saved"))
-    last = transport.outputs.poses[-1].pose
-    assert until(lambda: transport.saved["initial_pose_x"] == last[0])
-    again = node_parameters({"mode": "localization", "map_file": str(map_file), **transport.saved}, "default")
-    np.testing.assert_array_equal(again.configuration.initial_pose[0], last)
-    node.close()
-
-
 def test_without_tf_broadcast_no_transform_is_published():
     assert node_parameters({"tf_broadcast": False}, "default").settings.transform_publish_period_s == 0.0
     with pytest.raises(ConfigurationError, match="tf_broadcast: expected true or false, got 0"):
         node_parameters({"tf_broadcast": 0}, "default")
-    with pytest.raises(ConfigurationError, match="save_pose_rate: expected a number"):
-        node_parameters({"save_pose_rate": True}, "default")
 
 
 @pytest.mark.parametrize("ros", ENCODERS)
@@ -214,55 +196,3 @@ def test_what_is_no_map_is_named(change, says):
     data = encoder.encode("nav_msgs/OccupancyGrid", *grid_values(encoder, "map", message))
     with pytest.raises(MessageError, match=says):
         grid_of(encoder.decode("nav_msgs/OccupancyGrid", data))
-
-
-FILE = """
-gridslam:
-  ros__parameters:
-    qos_overrides:
-      /scan: {subscription: {reliability: reliable, depth: 3}}
-      /map: {publisher: {durability: volatile, history: keep_last}}
-"""
-
-
-def test_quality_of_service_is_overridden_as_in_ros(tmp_path):
-    (tmp_path / "qos.yaml").write_text(FILE)
-    given = ["--params-file", str(tmp_path / "qos.yaml"), "-p", "qos_overrides./tf.publisher.reliability:=best_effort"]
-    ros = parse_ros_arguments(["--ros-args", *given])
-    assert ros.parameters == {}
-    assert ros.override_qos("/scan", "subscription", Qos(reliable=False)) == Qos(reliable=True, depth=3)
-    assert ros.override_qos("/scan", "publisher", Qos()) == Qos()
-    assert ros.override_qos("/map", "publisher", Qos(latched=True, depth=1)) == Qos(depth=1)
-    assert ros.override_qos("/tf", "publisher", Qos()).reliable is False
-    wrong = parse_ros_arguments(["-p", "qos_overrides./tf.publisher.reliability:=perhaps"])
-    with pytest.raises(ConfigurationError, match=r"qos_overrides\./tf\.publisher\.reliability: expected reliable or"):
-        wrong.override_qos("/tf", "publisher", Qos())
-
-
-def test_a_managed_node_changes_its_state_as_ros_s():
-    calls, events = [], []
-    lifecycle = LifecycleServices(lambda active: calls.append(active), lambda: calls.append("cleaned"), events.append)
-    services = lifecycle.services()
-
-    def change(number=0, label=""):
-        request = SimpleNamespace(transition=SimpleNamespace(id=number, label=label))
-        return services["change_state"][1](request)[0]
-
-    assert services["get_state"][1](None) == ((1, "unconfigured"),)
-    assert not change(3)
-    assert change(1)
-    assert change(label="activate")
-    assert [one[0][1] for one in services["get_available_transitions"][1](None)[0]] == ["deactivate", "shutdown"]
-    assert change(4)
-    assert change(2)
-    assert change(5)
-    assert services["get_state"][1](None) == ((4, "finalized"),)
-    assert calls == [False, True, False, "cleaned", False]
-    assert events[2:4] == [
-        ((3, "activate"), (2, "inactive"), (13, "activating")),
-        ((30, "transition_success"), (13, "activating"), (3, "active")),
-    ]
-    assert len(services["get_available_states"][1](None)[0]) == 11
-    assert len(services["get_transition_graph"][1](None)[0]) == 25
-    encoder = ENCODERS["ROS 2"]
-    assert encoder.encode("lifecycle_msgs/TransitionEvent", 5, *events[1])[4:12] == struct.pack("<Q", 5)

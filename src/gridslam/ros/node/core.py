@@ -319,11 +319,6 @@ class NodeCore:
         self._queue.post(apply)
 
     @property
-    def latest_pose(self) -> InitialPose:
-        """Pose (3,) and covariance (3, 3) at the last scan; None before the first one, and while the robot is lost."""
-        return self._publisher.latest_pose
-
-    @property
     def _localization(self) -> Localization:
         assert isinstance(self.configuration, Localization)
         return self.configuration

@@ -86,9 +86,7 @@ _OWN: Final[tuple[tuple[str, float | int | str | bool, str], ...]] = (
     ("use_map_topic", False, ""),
     ("map_topic", "", ""),
     ("first_map_only", False, ""),
-    ("save_pose_rate", 0.5, ""),
     ("tf_broadcast", True, ""),
-    ("lifecycle", False, ""),
 )
 """The node's own parameters, but for those of sessions: name, default, and the field of `NodeSettings` that it is."""
 
@@ -319,15 +317,12 @@ def _node_parameters(given: Mapping[str, Any], foreign: Mapping[str, str], prese
 
 def _check_node_values(values: Mapping[str, Any]) -> None:
     """Check the node's own parameters that are no settings."""
-    for name in ("paused_new_measurements", "use_map_topic", "first_map_only", "tf_broadcast", "lifecycle"):
+    for name in ("paused_new_measurements", "use_map_topic", "first_map_only", "tf_broadcast"):
         if not isinstance(values[name], bool):
             raise ConfigurationError(f"{name}: expected true or false, got {values[name]!r}")
     for name in ("scan_topic", "map_topic"):
         if not (isinstance(values[name], str) and (values[name] or name == "map_topic")):
             raise ConfigurationError(f"{name}: expected the name of a topic, got {values[name]!r}")
-    rate = values["save_pose_rate"]
-    if isinstance(rate, bool) or not isinstance(rate, int | float):
-        raise ConfigurationError(f"save_pose_rate: expected a number, got {rate!r}")
 
 
 def _find_map_topic(values: Mapping[str, Any]) -> str:

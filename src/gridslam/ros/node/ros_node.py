@@ -81,9 +81,6 @@ class RosNode:
         if parameters.values[_PAUSED]:
             self.core.pause(True)
         transport.connect(self.core.refuse_message, self._topics(parameters))
-        rate_hz = float(parameters.values["save_pose_rate"])
-        if rate_hz > 0 and self.core.localizes:
-            self.core.add_timer(1.0 / rate_hz, self._save_pose)
         if parameters.warning:
             self._log(Level.WARN, parameters.warning)
 
@@ -252,15 +249,6 @@ class RosNode:
         if parameters.map_topic:  # another program publishes it
             del topics["map"], topics["map_metadata"]
         return topics
-
-    def _save_pose(self) -> None:
-        """Keep the pose where a node that is started again finds it, as AMCL does."""
-        if (known := self.core.latest_pose) is None:
-            return
-        pose, covariance = known
-        values = dict(zip(("initial_pose_x", "initial_pose_y", "initial_pose_a"), pose.tolist(), strict=True))
-        names = "initial_cov_xx", "initial_cov_yy", "initial_cov_aa"
-        self._transport.save_parameters({**values, **dict(zip(names, np.diag(covariance).tolist(), strict=True))})
 
     def _change_parameter(self, name: str, value: Any) -> str:  # noqa: ANN401
         """Set a parameter while the node runs."""

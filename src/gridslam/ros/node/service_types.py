@@ -1,6 +1,6 @@
 """The services' requests and responses, by the text of their .srv files: rosbags has none of them.
 
-Source: the packages nav_msgs, std_srvs, lifecycle_msgs and rcl_interfaces of ROS 2, and slam_toolbox's folder srv.
+Source: the packages nav_msgs, std_srvs and rcl_interfaces of ROS 2, and slam_toolbox's folder srv.
 """
 
 from __future__ import annotations
@@ -41,10 +41,6 @@ _OF_BOTH: Final[Mapping[str, tuple[str, str]]] = {
     "std_srvs/Trigger": ("", "bool success\nstring message"),
 }
 _OF_ROS2: Final[Mapping[str, tuple[str, str]]] = {
-    "lifecycle_msgs/GetState": ("", "lifecycle_msgs/State current_state"),
-    "lifecycle_msgs/GetAvailableStates": ("", "lifecycle_msgs/State[] available_states"),
-    "lifecycle_msgs/GetAvailableTransitions": ("", "lifecycle_msgs/TransitionDescription[] available_transitions"),
-    "lifecycle_msgs/ChangeState": ("lifecycle_msgs/Transition transition", "bool success"),
     "rcl_interfaces/ListParameters": (
         "string[] prefixes\nuint64 depth",
         "rcl_interfaces/ListParametersResult result",

@@ -140,12 +140,6 @@ class StatePublisher:
         if self._mapped_report is None or not self._settings.map_update_interval_s:
             self.publish_map(state)
 
-    @property
-    def latest_pose(self) -> tuple[FloatArray, FloatArray] | None:
-        """Pose (3,) and covariance (3, 3) at the last scan; None without, or if the robot is lost."""
-        report = self._report
-        return None if report is None or report.lost else (report.pose, report.covariance)
-
     def publish_map(self, state: Any) -> None:  # noqa: ANN401
         """Render and publish the map if it is new and no other map is being rendered; call from the filter's thread."""
         renderer = self.renderer
