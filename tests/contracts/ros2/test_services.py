@@ -1,7 +1,6 @@
 """Parameters, services and the log, as the verbs of `ros2` ask for them."""
 
 import pytest
-from nav_msgs.srv import SetMap
 from rcl_interfaces.msg import Parameter, ParameterEvent, ParameterType, ParameterValue
 from rcl_interfaces.srv import (
     DescribeParameters,
@@ -104,14 +103,9 @@ def test_slam_toolbox_s_services_are_there_by_their_names_and_types(start, peer,
     assert peer.ask("/slam_toolbox/serialize_map", SerializePoseGraph, filename=str(tmp_path / "none")).result == 255
 
 
-def test_a_known_map_is_given_and_replaced(start, peer, tmp_path):
+def test_a_known_map_is_given(start, peer, tmp_path):
     """As nav2's map_server gives it: latched, and stamped by the clock once that is there."""
     write_map(tmp_path / "flat.yaml", flat_map())
     start(options=("--map", str(tmp_path / "flat.yaml")))
     grid = last_map(peer)
     assert nanoseconds(grid.header.stamp) > 0
-    grid.info.origin.position.x += 1.0
-    assert peer.ask("/set_map", SetMap, map=grid).success
-    assert until(lambda: last_map(peer).info.origin.position.x == grid.info.origin.position.x)
-    grid.header.frame_id = "elsewhere"
-    assert not peer.ask("/set_map", SetMap, map=grid).success

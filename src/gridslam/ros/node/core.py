@@ -7,7 +7,6 @@ from collections import deque
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import Future, TimeoutError
 from contextlib import contextmanager, suppress
-from dataclasses import replace
 from functools import partial
 from itertools import chain
 from pathlib import Path
@@ -20,9 +19,7 @@ from gridslam.config import Configuration
 from gridslam.doctor import BreakCheck, EarlyCheck, Finding
 from gridslam.doctor.view_breaks import DriveNumbering
 from gridslam.errors import ArgumentError, ConfigurationError, GridslamError, OutputError
-from gridslam.io.maps import grid_of_percent
 from gridslam.io.measurement import Measurement
-from gridslam.localization import KnownMap
 from gridslam.messages import Level, Messages
 from gridslam.particles import sample_gaussian
 from gridslam.pipeline import FailedStep, Observer, describe_error, isolate
@@ -34,7 +31,7 @@ from gridslam.ros.node.measurement_queue import MeasurementQueue, SessionEnd
 from gridslam.ros.node.messages import Diagnostics, GridMessage, Outputs, ScanMessage, StampedTransform
 from gridslam.ros.node.parameters import NodeSettings
 from gridslam.ros.node.rendering import MapRenderer, make_grid_message
-from gridslam.ros.node.session import InitialPose, Localization, LocalizationSession, WaitingSession
+from gridslam.ros.node.session import InitialPose, Localization, LocalizationSession
 from gridslam.ros.node.state_publisher import StatePublisher
 from gridslam.tracking.tracker import OdometryTracker
 
@@ -46,8 +43,6 @@ _FOUND = (SessionEnd.JUMP, SessionEnd.CARRIED)
 """Ends that nobody asked for."""
 _SAVED = (*_FOUND, SessionEnd.SESSION)
 """Ends at which the session is saved."""
-_OTHERS = (SessionEnd.MAP, SessionEnd.SESSION)
-"""Ends after which another session begins even if this one has no scan yet."""
 
 _Answer = TypeVar("_Answer")
 
@@ -178,7 +173,7 @@ class NodeCore:
 
     def start(self) -> None:
         """Start the node's threads and accept messages."""
-        if isinstance(self.configuration, Localization) and self.configuration.known is not None:
+        if isinstance(self.configuration, Localization):
             self._show_known_map(make_grid_message(self.configuration.known.grid, self.settings, 0))
         self._threads += [
             threading.Thread(target=self._run_timer, args=(period_s, callback), name=f"gridslam-{name}", daemon=True)
@@ -247,60 +242,11 @@ class NodeCore:
             raise ArgumentError("pose", "a node that localizes", "one that maps")
         if pose is not None:  # validates it
             sample_gaussian(1, *pose, np.random.default_rng(0))
-            if self.configuration.known is not None:
-                self.configuration.known.require(pose[0])
+            self.configuration.known.require(pose[0])
 
         def apply() -> None:
             if isinstance(self._session, LocalizationSession):
                 self._session.set_pose(pose)
-            else:
-                self.configuration = replace(self._localization, initial_pose=pose)
-
-        self._queue.post(apply)
-
-    def set_map(self, message: GridMessage, pose: InitialPose = None, *, only_first: bool = False) -> None:
-        """Localize in another map from the next scan on; the call does not wait for that.
-
-        Parameters
-        ----------
-        message : GridMessage
-            The map. The one that is known already changes nothing.
-        pose : (pose (3,), covariance (3, 3)) or None
-            Of the robot; None: the initial pose if there is no map yet, else the pose is unknown.
-        only_first : bool
-            Whether a map that is known is kept.
-
-        Raises
-        ------
-        ArgumentError
-            The node maps, or the frame of the map is another one.
-        """
-        if not self.localizes:
-            raise ArgumentError("map", "a node that localizes", "one that maps")
-        if message.frame != self.settings.map_frame:
-            raise ArgumentError("map", f"the frame {self.settings.map_frame}", repr(message.frame))
-
-        def apply() -> None:
-            before = self._localization
-            latest = self._known_map
-            if before.known is not None and latest is not None:
-                same = latest.origin == message.origin and np.array_equal(latest.cells, message.cells)
-                if same and pose is not None and isinstance(self._session, LocalizationSession):
-                    self._session.set_pose(pose)
-                if only_first or same:
-                    return
-            configuration = before.configuration
-            grid = grid_of_percent(message.cells, message.resolution_m, message.origin)
-            known = KnownMap(grid, reach_m=configuration.reach_m, threads=self.settings.threads)
-            start = before.initial_pose if before.known is None and pose is None else pose
-            if start is not None:
-                known.require(start[0])
-            self._show_known_map(message)
-            self.configuration = Localization(known, configuration, start)
-            self.messages.report(
-                Level.OK, f"localizing in a map of {message.cells.shape[1]} x {message.cells.shape[0]} cells"
-            )
-            self._queue.end_session(SessionEnd.MAP)
 
         self._queue.post(apply)
 
@@ -317,11 +263,6 @@ class NodeCore:
                 self._session.update_once()
 
         self._queue.post(apply)
-
-    @property
-    def _localization(self) -> Localization:
-        assert isinstance(self.configuration, Localization)
-        return self.configuration
 
     def pause(self, paused: bool) -> None:
         """Drop incoming scans, or accept them again."""
@@ -411,7 +352,7 @@ class NodeCore:
         end = self._session_end
         is_begun = self._session.state is not None
         forgets = end is SessionEnd.RESET and isinstance(self._session, Session) and self._session.continued is not None
-        if not is_begun and end not in _OTHERS and not forgets:
+        if not is_begun and end is not SessionEnd.SESSION and not forgets:
             return
         is_carried = end is SessionEnd.CARRIED
         if is_begun:
@@ -575,11 +516,9 @@ class NodeCore:
             self._breaks = BreakCheck()
             self._numbering = DriveNumbering[AcceptedScan](self._warn_of)
             self._drive = 0
-        self._session: Session | LocalizationSession | WaitingSession
+        self._session: Session | LocalizationSession
         if isinstance(self.configuration, Localization):
-            waits = self.configuration.known is None
-            self._queue.waits_for_map = waits
-            self._session = WaitingSession() if waits else LocalizationSession(self.configuration, self.settings.seed)
+            self._session = LocalizationSession(self.configuration, self.settings.seed)
             return
         self._use_renderer(self.configuration)
         seed = self.settings.seed if self._continued is None else self._continued.saved.seed

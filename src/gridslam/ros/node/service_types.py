@@ -32,10 +32,6 @@ _PARAMETERS: Final = "rcl_interfaces/Parameter[] parameters"
 
 _OF_BOTH: Final[Mapping[str, tuple[str, str]]] = {
     "nav_msgs/GetMap": ("", "nav_msgs/OccupancyGrid map"),
-    "nav_msgs/SetMap": (
-        "nav_msgs/OccupancyGrid map\ngeometry_msgs/PoseWithCovarianceStamped initial_pose",
-        "bool success",
-    ),
     "std_srvs/Empty": ("", ""),
     "std_srvs/SetBool": ("bool data", "bool success\nstring message"),
     "std_srvs/Trigger": ("", "bool success\nstring message"),

@@ -240,7 +240,6 @@ class StatePublisher:
             accepted_s=None if report is None else self._arrived_s + offset_s,
             missing_transform=self._queue.missing_transform,
             is_paused=self._queue.is_paused,
-            waits_for_map=self._queue.waits_for_map,
             localizes=localized is not None,
             lost=report is not None and bool(report.lost),
             looking=localized is not None and localized.looking,
