@@ -2,7 +2,7 @@
 
     python benchmarks/plan_alignment.py [SEED ...] [--out FILE]
 
-Of the walls of each plan 10 % are wrong: moved by 0.3 to 1.5 m, or not there. It is drawn as SVG in units of its own.
+Of the walls of each plan 10 % are wrong: moved by 0.3 to 1.5 m, or not there. It is drawn as DXF in units of its own.
 Either the unit is known to 2 %, or two pairs of points are picked to 20 cm. Compared is where the map's end points come
 to lie with where they are; the map's own error is in it.
 """
@@ -15,6 +15,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
+import ezdxf
 import numpy as np
 
 from floor_plans import Building, map_building
@@ -40,19 +41,18 @@ def draw(building: Building, path: Path, rng: np.random.Generator, wrong: float)
     pose = np.array([*rng.uniform(-20, 20, 2), rng.uniform(-np.pi, np.pi)])
     per_m = float(np.exp(rng.uniform(np.log(3.0), np.log(300.0))))
     ends = per_m * se2.transform_points(pose, walls.reshape(-1, 2))
-    low, high = ends.min(axis=0), ends.max(axis=0)
-    places = np.column_stack([ends[:, 0] - low[0], high[1] - ends[:, 1]]).reshape(-1, 4)
-    lines = "".join('<line x1="{:.4f}" y1="{:.4f}" x2="{:.4f}" y2="{:.4f}"/>'.format(*line) for line in places)
-    size = " ".join(f"{side:.4f}" for side in high - low)
-    path.write_text(f'<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 {size}">{lines}</svg>')
-    return pose - np.array([*low / per_m, 0.0]), per_m
+    drawing = ezdxf.new()
+    for begin, end in ends.reshape(-1, 2, 2).tolist():
+        drawing.modelspace().add_line(begin, end)
+    drawing.saveas(path)
+    return pose, per_m
 
 
 def score(building: Building, seed: int, wrong: float = WRONG) -> dict[str, dict[str, float]]:
     """Errors by what is known of the plan."""
     rng = np.random.default_rng(seed)
     with tempfile.TemporaryDirectory() as folder:
-        path = Path(folder) / "plan.svg"
+        path = Path(folder) / "plan.dxf"
         truth_in_plan, per_m = draw(building, path, rng, wrong)
         plan = read_drawn_plan(path)
     true_pose = se2.compose(truth_in_plan, align(building.poses[:, :2], building.log.truth.poses[:, :2]))

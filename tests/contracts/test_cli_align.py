@@ -3,6 +3,7 @@
 import json
 from functools import partial
 
+import ezdxf
 import numpy as np
 import pytest
 from PIL import Image
@@ -71,18 +72,6 @@ def test_a_map_of_another_day_is_a_plan(call, drawn, tmp_path):
     assert document["map_in_plan"] == pytest.approx([0.0, 0.0, -0.3], abs=0.03)
 
 
-def test_without_a_plan_the_map_is_laid_on_the_earth(call, drawn, tmp_path):
-    folder, _, _ = drawn
-    pairs = "--pair", "0,0=48.1,11.5", "--pair", "10,0=48.1,11.50013430"
-    status, out, _ = call(folder / "map.yaml", *pairs, "-o", tmp_path)
-    assert status == 0
-    assert "48.1000" in out
-    assert "90.0" in out
-    assert {file.name for file in tmp_path.iterdir()} == {"align.json", "map.tif"}
-    origin = json.loads((tmp_path / "align.json").read_text())["origin"]
-    assert origin["bearing"] == pytest.approx(90.0, abs=0.01)
-
-
 @pytest.mark.parametrize(
     ("arguments", "problem"),
     [
@@ -93,16 +82,15 @@ def test_without_a_plan_the_map_is_laid_on_the_earth(call, drawn, tmp_path):
         (["plan.png", "--pair", "0,0=1,1,2,2,3,3"], "expected X,Y=U,V"),
         (["later.yaml", "--unit", "2"], "expected no --unit with a map"),
         (["plan.png", "--pair", "nan,0=1,1", "--pair", "1,1=2,2"], "finite numbers"),
-        (["--pair", "0,0=91,1", "--pair", "1,1=2,2"], "expected X,Y=LAT,LON"),
-        ([], "expected a PLAN"),
+        (["plan.png", "--by-pairs"], "expected two to six --pair"),
         (["plan.png", "--unit", "0.4"], "of its walls agree with it"),
-        (["empty.svg", "--unit", "1"], "expected a plan with lines"),
+        (["empty.dxf", "--unit", "1"], "expected a plan with lines"),
     ],
 )
 def test_what_cannot_be_aligned_is_one_line(call, drawn, tmp_path, arguments, problem):
     folder, _, _ = drawn
-    (folder / "empty.svg").write_text("<svg/>")
-    given = [folder / word if word.endswith(("png", "svg", "yaml")) else word for word in arguments]
+    ezdxf.new().saveas(folder / "empty.dxf")
+    given = [folder / word if word.endswith(("png", "dxf", "yaml")) else word for word in arguments]
     status, out, err = call(folder / "map.yaml", *given, "-o", tmp_path / "out")
     assert (status, out, err.count("\n")) == (2, "", 1)
     assert problem in err

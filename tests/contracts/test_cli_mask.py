@@ -45,43 +45,6 @@ def test_masks_and_the_edited_map_are_written(call, drawn):
     assert (drawn / "again" / "map.pgm").read_bytes() == (drawn / "out" / "map.pgm").read_bytes()
 
 
-def test_edits_in_degrees_are_those_in_metres(call, drawn):
-    """They are written, and read as another program gives them back: without any member of ours."""
-    origin = "--origin", "48.1,11.5,30"
-    assert call("mask", drawn / "rooms.yaml", drawn / "edits.geojson", "-o", drawn / "out", *origin)[0] == 0
-    world = json.loads((drawn / "out" / "edits_wgs84.geojson").read_text())
-    for feature in world["features"]:
-        longitude, latitude = np.array(_flatten(feature)).T
-        assert (np.abs(latitude - 48.1) < 1e-4).all()
-        assert (np.abs(longitude - 11.5) < 2e-4).all()
-    foreign = {"type": "FeatureCollection", "features": world["features"]}
-    zone = next(feature for feature in foreign["features"] if feature["geometry"]["type"] == "Polygon")
-    zone["geometry"]["coordinates"] = [[[*at, 520.0] for at in ring] for ring in zone["geometry"]["coordinates"]]
-    (drawn / "foreign.geojson").write_text(json.dumps(foreign))
-    assert call("mask", drawn / "rooms.yaml", drawn / "foreign.geojson", "-o", drawn / "again", *origin)[0] == 0
-    for name in ("map.pgm", "keepout_mask.pgm", "speed_mask.pgm"):
-        again, out = (np.frombuffer((drawn / folder / name).read_bytes(), np.uint8) for folder in ("again", "out"))
-        assert np.count_nonzero(again != out) < 40, "the middles of cells lie on the diagonal of a zone"
-    back = read_edits(drawn / "again" / "edits.geojson").edits
-    for edit, was in zip(back, (WALL, ZONE, SLOW, *NAMES), strict=True):
-        assert edit.points == pytest.approx(was.points, abs=1e-3)
-    status, _, err = call("mask", drawn / "rooms.yaml", drawn / "out" / "edits_wgs84.geojson", "-o", drawn / "bad")
-    assert (status, err.count("\n")) == (2, 1)
-    assert "expected the units 'm', got 'degrees'" in err
-    elsewhere = "--origin", "48.2,11.5,30"
-    status, _, err = call("mask", drawn / "rooms.yaml", drawn / "foreign.geojson", "-o", drawn / "bad", *elsewhere)
-    assert (status, err.count("\n")) == (2, 1)
-    assert "feature 1: expected places in" in err
-
-
-def _flatten(feature):
-    """Positions of a feature, of whatever geometry."""
-    found = [feature["geometry"]["coordinates"]]
-    while isinstance(found[0][0], list):
-        found = [item for items in found for item in items]
-    return found
-
-
 def test_a_plan_has_walls_that_were_drawn_and_the_names_of_rooms(call, drawn):
     call("mask", drawn / "rooms.yaml", drawn / "edits.geojson", "-o", drawn / "out")
     status, out, _ = call("plan", drawn / "out" / "edits.geojson", "-o", drawn / "plan", "--json")

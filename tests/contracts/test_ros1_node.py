@@ -273,11 +273,7 @@ def test_a_robot_is_localized_in_a_known_map(ros, tmp_path):
     assert ros.until(lambda: "initialpose: expected a pose in the frame map, got 'odom'" in ros.log("node"))
     assert "geometry_msgs/PoseWithCovarianceStamped" in ros.run("rostopic", "type", "/amcl_pose")
     assert "frame_id" in ros.run("rostopic", "echo", "-n", "1", "/amcl_pose/header")  # latched
-    stored = [ros.master.getParam("/test", f"{NAME}/initial_pose_{name}")[2] for name in "xya"]
-    assert np.hypot(*(np.array(stored) - truth)[:2]) < 0.4
     ros.run("rosservice", "call", "/request_nomotion_update")
-    assert "success: False" in ros.run("rosservice", "call", "/set_map", "{map: {header: {frame_id: map}}}")
-    assert "set_map: a map of 0 x 0 cells" in ros.log("node")
     ros.run("rosservice", "call", "/global_localization")
     node.send_signal(signal.SIGINT)
     assert node.wait(60) == 0, ros.log("node")

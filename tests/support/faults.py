@@ -20,8 +20,6 @@ from gridslam.geometry import se2, se3
 from gridslam.io.measurement import Measurement
 from gridslam.types import BeamStatus, FloatArray, LaserScan, Odometry, ScanGeometry
 
-_SLIP_LASTS_S = 1.0
-_DRIVES_M_S = 0.05  # a robot slower than this does not slip
 _CEILING_M = 2.5
 _SIGMA_RANGE_M = 0.01
 _WRONG_SHARE = 0.02
@@ -45,27 +43,6 @@ def odometry_drift(measurements: Iterable[Measurement], bias_rad_per_m: float) -
 def unsigned_odometry(measurements: Iterable[Measurement]) -> Iterator[Measurement]:
     """Odometry counts reverse motion as forward, as encoders without direction do; turns are unchanged."""
     return _distorted(measurements, lambda twist, _: np.array([abs(twist[0]), twist[1], twist[2]]))
-
-
-def wheel_slip(
-    measurements: Iterable[Measurement], slip_m: float, rng: np.random.Generator, every_s: float = 20.0
-) -> Iterator[Measurement]:
-    """In episodes of 1 s odometry reports `slip_m` m more forward motion than was driven: the wheels spin.
-
-    An episode begins by chance, once in `every_s` seconds of driving on the average, and never while one lasts.
-    """
-    left_s = 0.0
-
-    def slipping(twist: FloatArray, seconds: float) -> FloatArray:
-        nonlocal left_s
-        drives = np.hypot(*twist[:2]) > _DRIVES_M_S * seconds
-        if left_s <= 0 and drives and rng.random() < seconds / every_s:
-            left_s = _SLIP_LASTS_S
-        spins_s = min(left_s, max(seconds, 0.0))
-        left_s -= spins_s
-        return np.add(twist, [slip_m * spins_s / _SLIP_LASTS_S, 0, 0])
-
-    return _distorted(measurements, slipping)
 
 
 def clock_skew(measurements: Iterable[Measurement], skew_s: float) -> Iterator[Measurement]:
@@ -339,7 +316,6 @@ FAULTS: Final[Mapping[str, Fault]] = MappingProxyType(
         "odometry_rotation_bias": _certain(odometry_rotation_bias, 0.05, "rad/rad"),
         "odometry_drift": _certain(odometry_drift, 0.02, "rad/m"),
         "unsigned_odometry": Fault(lambda measurements, *_: unsigned_odometry(measurements), 1.0, "yes or no"),
-        "wheel_slip": Fault(wheel_slip, 0.3, "m"),
         "beam_count_varies": Fault(beam_count_varies, 6.0, "beams"),
         "invalid_beams": Fault(invalid_beams, 0.2, "share"),
         "range_limits": _certain(range_limits, 2.0, "m/m"),

@@ -47,7 +47,6 @@ from gridslam.io.log import LogOptions, open_log
 from gridslam.io.maps import read_map, write_map
 from gridslam.io.ros_parameters import read_parameter_file
 from gridslam.io.sessions.session_file import read_session
-from gridslam.io.text import read_json
 from gridslam.io.trajectories import read_relations, read_trajectory, read_trajectory_csv, read_tum
 from gridslam.live.history_file import HISTORY_NAME, read_history
 from gridslam.live.replay import Replay
@@ -55,7 +54,6 @@ from gridslam.localization import KnownMap
 from gridslam.messages import Messages
 from gridslam.plan.drawn_plans import read_drawn_plan
 from gridslam.plan.masks import make_keepout_mask, make_speed_mask
-from gridslam.plan.world import WorldOrigin, format_edits_in_degrees, turn_edits_to_metres
 from gridslam.slam.pose_graph.graph_slam import GraphSlam
 from gridslam.slam.pose_graph.pose_graph import PoseGraph
 from support import ros_bags
@@ -561,14 +559,8 @@ def _edits(folder: Path) -> Iterator[Family]:
         else:
             (to / "edits.geojson").write_text(json.dumps(exchange(json.loads(text), rng)))
 
-    world = WorldOrigin(48.0, 11.0)
-
     def read(where: Path) -> None:
-        document = read_json(where / "edits.geojson")
-        with suppress(InputError):
-            parse_edits(turn_edits_to_metres(document | {"units": "degrees"}, world), where)
         edits = read_edits(where / "edits.geojson")
-        format_edits_in_degrees(edits, world)
         assert parse_edits(json.loads(edits.to_text()), where).to_text() == edits.to_text()
         grid = read_edited_map(where / "edits.geojson")
         make_keepout_mask(grid, edits)
@@ -579,20 +571,15 @@ def _edits(folder: Path) -> Iterator[Family]:
 
 
 def _plans(folder: Path) -> Iterator[Family]:
-    """Drawn plans: SVG, DXF and PNG."""
-    svg = (
-        '<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 30 20"><g transform="rotate(20 1 2) scale(2)">'
-        '<rect x="1" y="2" width="3" height="4"/><polyline points="1,1 2,2 3,1"/></g>'
-        '<path transform="matrix(1 0 0 -1 0 20)" d="M1 1 h2 v3 L 0,0 Z m 5 5 l1,1 c 1 2 3 4 5 6"/></svg>'
-    )
+    """Drawn plans: DXF and PNG."""
     pairs = ("0", "SECTION", "2", "ENTITIES", "0", "LINE", "8", "0", "10", "1.5", "20", "2", "11", "8", "21", "2")
     pairs += ("0", "ARC", "8", "0", "10", "5", "20", "2", "40", "3", "50", "10", "51", "100")
     dxf = "\n".join([*pairs, "0", "ENDSEC", "0", "EOF", ""])
     Image.fromarray(np.random.default_rng(0).choice([0, 255], (40, 50)).astype(np.uint8)).save(folder / "drawn.png")
-    whole = {"svg": svg.encode(), "dxf": dxf.encode(), "png": (folder / "drawn.png").read_bytes()}
+    whole = {"dxf": dxf.encode(), "png": (folder / "drawn.png").read_bytes()}
 
     def prepare(to: Path, rng: np.random.Generator) -> None:
-        kind = sorted(whole)[rng.integers(3)]
+        kind = sorted(whole)[rng.integers(2)]
         damages = OF_BYTES if kind == "png" else OF_TEXT
         (to / f"plan.{kind}").write_bytes(damage(whole[kind], damages, rng)[0])
 

@@ -95,9 +95,6 @@ class LocalTransport:
         self.published = topics
         self.outputs.topics = tuple(topics)
 
-    def save_parameters(self, values: dict[str, float]) -> None:
-        self.saved = values
-
     def wire_of(self, data: bytes) -> Wire:
         raise MessageError("no bytes pass here")
 

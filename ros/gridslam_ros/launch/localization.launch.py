@@ -1,7 +1,4 @@
-"""Localize in a known map: ros2 launch gridslam_ros localization.launch.py map:=my-map/map.yaml.
-
-Without a map the node takes that of the topic `map`, as of a map_server.
-"""
+"""Localize in a known map: ros2 launch gridslam_ros localization.launch.py map:=my-map/map.yaml."""
 
 from pathlib import Path
 
@@ -9,7 +6,7 @@ from ament_index_python.packages import get_package_share_directory
 from launch import LaunchDescription
 from launch.actions import DeclareLaunchArgument
 from launch.conditions import IfCondition
-from launch.substitutions import LaunchConfiguration, PythonExpression
+from launch.substitutions import LaunchConfiguration
 from launch_ros.actions import Node
 from launch_ros.parameter_descriptions import ParameterValue
 
@@ -27,11 +24,9 @@ def generate_launch_description() -> LaunchDescription:
     """Start the node, and RViz if that is asked for."""
     share = Path(get_package_share_directory("gridslam_ros"))
     defaults = {**ARGUMENTS, "params_file": str(share / "config" / "localization.yaml")}
-    no_file = PythonExpression(["'", LaunchConfiguration("map"), "' == ''"])
     given = {
         "use_sim_time": ParameterValue(LaunchConfiguration("use_sim_time"), value_type=bool),
         "map_file": ParameterValue(LaunchConfiguration("map"), value_type=str),
-        "use_map_topic": ParameterValue(no_file, value_type=bool),
     }
     node = Node(
         package="gridslam_ros",

@@ -21,7 +21,7 @@ from gridslam.slam.full_slam.earlier_pieces import EarlierPieces
 from gridslam.slam.full_slam.full_slam import full_slam
 from gridslam.slam.grid_fastslam.grid_fastslam import GridFastSlam
 from gridslam.slam.grid_fastslam.state import GridFastSlamState
-from gridslam.tracking.state import SensorTrack, TrackerState, pose_of
+from gridslam.tracking.state import pose_of
 from gridslam.tracking.tracker import Tracker
 from gridslam.types import FloatArray, LaserScan, StepReport, describe_duration
 
@@ -206,22 +206,3 @@ def restart_at_same_place(state: GridFastSlamState, first: Measurement) -> None:
     tracker.odometry = tracker.matched_odometry = pose_of(odometry)
     tracker.matched_pose = tracker.pose
     tracker.twist = ORIGIN
-
-
-def restart_at_pose(state: GridFastSlamState, slam: GridFastSlam, first: Measurement, pose: FloatArray) -> None:
-    """Restart a filter at another pose (3,) of its map: the tracker begins with local maps of this scan alone.
-
-    The way there is one step of the robot, with the noise of its length.
-    """
-    odometry, scan = first
-    here = compose(as_pose(state.best_pose), between(state.key_pose, state.tracker.pose))
-    tracked = compose(state.tracker.pose, between(here, as_pose(pose)))
-    before = state.tracker
-    tracker = TrackerState.start(slam.mapper.empty(2), odometry, scan.stamp_ns, scan.sensor)
-    tracker.pose = tracker.matched_pose = tracked
-    tracker.sensors = {scan.sensor: SensorTrack.first(scan.stamp_ns, tracked)}
-    tracker.period_s, tracker.mean_step = before.period_s, before.mean_step
-    beams = scan.beams(slam.range_min_m, slam.range_max_m, slam.thinning)
-    if isinstance(slam.tracker, Tracker) and len(beams):
-        tracker.maps.update(tracker.row, np.array([tracked]), beams)
-    state.tracker = tracker

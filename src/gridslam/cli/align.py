@@ -14,12 +14,11 @@ from gridslam.errors import InputError
 from gridslam.io.maps import write_map
 from gridslam.plan.alignment import Alignment, align_points, align_walls, fit_pairs
 from gridslam.plan.drawn_plans import SUFFIXES, draw_aligned, read_drawn_plan
-from gridslam.plan.georeference import fit_world, write_geotiff
 from gridslam.plan.source import MapSource, read_source
 from gridslam.plan.surfaces import SurfacePoints
 from gridslam.types import FloatArray
 
-_NAMES = "align.json", "align.png", "map.yaml", "map.pgm", "map.tif"
+_NAMES = "align.json", "align.png", "map.yaml", "map.pgm"
 _LEAST_SHARE = 0.3
 """Of a map's surfaces that must lie on the plan: people draw less than a laser sees."""
 
@@ -27,32 +26,31 @@ _LEAST_SHARE = 0.3
 def align_to_folder(
     source: Path,
     floor: str | None,
-    plan: Path | None,
+    plan: Path,
     out: Path,
     pairs: FloatArray,
     unit_m: float | None,
     by_pairs: bool,
     as_json: bool,
 ) -> None:
-    """Align a map with a plan, or with the world, write it to a folder and print a summary."""
+    """Align a map with a plan, write it to a folder and print a summary."""
     with open_output(out, _NAMES) as folder:
         with name_option(floor="--floor"):
             given = read_source(source, warn, floor)
-        if plan is None:
-            origin, left = fit_world(pairs[:, :2], pairs[:, 2:])
-            write_geotiff(folder.file("map.tif"), given.grid, origin)
-            document = _describe(source, plan, left) | {"origin": dict(origin._asdict())}
-        else:
-            alignment, left, points, unit_m = _align(given, source, plan, pairs, unit_m, by_pairs)
-            write_map(folder.file("map.yaml"), given.grid, alignment.pose, alignment.scale)
-            draw_aligned(given.grid, alignment, points).save(folder.file("align.png"), compress_level=3)
-            document = _describe(source, plan, left) | {
-                "map_in_plan": alignment.pose.tolist(),
-                "scale": alignment.scale,
-                "unit_m": unit_m,
-                "walls_in_common": None if by_pairs else alignment.share,
-                "residual_m": alignment.residual_m,
-            }
+        alignment, left, points, unit_m = _align(given, source, plan, pairs, unit_m, by_pairs)
+        write_map(folder.file("map.yaml"), given.grid, alignment.pose, alignment.scale)
+        draw_aligned(given.grid, alignment, points).save(folder.file("align.png"), compress_level=3)
+        document = {
+            "schema": "gridslam.align/1",
+            "source": str(source),
+            "plan": str(plan),
+            "pairs_left_m": left.tolist(),
+            "map_in_plan": alignment.pose.tolist(),
+            "scale": alignment.scale,
+            "unit_m": unit_m,
+            "walls_in_common": None if by_pairs else alignment.share,
+            "residual_m": alignment.residual_m,
+        }
         folder.write_json("align.json", document)
     print_result(document, _summarize(document, out), as_json)
 
@@ -87,21 +85,10 @@ def _align(
     raise InputError(plan, f"{problem}; --by-pairs aligns by pairs alone")
 
 
-def _describe(source: Path, plan: Path | None, left: FloatArray) -> dict[str, Any]:
-    named = None if plan is None else str(plan)
-    return {"schema": "gridslam.align/1", "source": str(source), "plan": named, "pairs_left_m": left.tolist()}
-
-
 def _summarize(document: dict[str, Any], out: Path) -> Iterator[str]:
     left = document["pairs_left_m"]
     if left:
         yield f"{len(left)} pairs, left: {', '.join(f'{distance:.3f}' for distance in left)} m"
-    if "origin" in document:
-        origin = document["origin"]
-        numbers = f"{origin['latitude']:.9f},{origin['longitude']:.9f},{origin['bearing']:.4f}"
-        yield f"the map's origin, for `gridslam plan --origin`: {numbers}"
-        yield f"map, GeoTIFF: {out / 'map.tif'}"
-        return
     x, y, heading = document["map_in_plan"]
     yield f"aligned: {x:.3f} m, {y:.3f} m, {np.rad2deg(heading):.3f} deg, scale {document['scale']:.4f}"
     if document["walls_in_common"] is not None:

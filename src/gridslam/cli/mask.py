@@ -15,16 +15,14 @@ import numpy as np
 from gridslam.cli.output import counted, open_output, print_result, warn
 from gridslam.errors import ArgumentError, InputError
 from gridslam.io.edited_maps import apply_edits, check_edits, compute_image_digest
-from gridslam.io.edits import Edits, parse_edits, write_edits
+from gridslam.io.edits import Edits, read_edits, write_edits
 from gridslam.io.maps import read_map, write_map
-from gridslam.io.text import read_json
 from gridslam.plan.masks import Mask, describe_filters, make_keepout_mask, make_speed_mask, write_mask
-from gridslam.plan.world import WorldOrigin, format_edits_in_degrees, turn_edits_to_metres
 from gridslam.types import OccupancyGrid
 
 _NAMES = (
     "map.yaml", "map.pgm", "keepout_mask.yaml", "keepout_mask.pgm", "speed_mask.yaml", "speed_mask.pgm",
-    "nav2_filters.yaml", "edits.geojson", "edits_wgs84.geojson", "mask.json"
+    "nav2_filters.yaml", "edits.geojson", "mask.json"
 )  # fmt: skip
 
 
@@ -34,7 +32,6 @@ def mask_to_folder(
     out: Path,
     mode: str,
     off_lane_percent: int,
-    origin: tuple[float, float, float] | None,
     as_json: bool,
 ) -> None:
     """Apply edits to a map, write it and its masks to a folder and print a summary."""
@@ -43,9 +40,7 @@ def mask_to_folder(
         problem = "expected another folder than that of the map, whose files would be replaced"
         raise click.BadParameter(problem, param_hint="'-o'")
     grid = read_map(map_yaml, on_remark=warn)
-    world = None if origin is None else WorldOrigin(*origin)
-    document = read_json(edits)
-    read = parse_edits(document if world is None else turn_edits_to_metres(document, world), edits)
+    read = read_edits(edits)
     check_edits(read, edits, map_yaml, grid, warn)
     name = os.path.relpath(map_yaml.resolve(), out.resolve())
     drawn = replace(read, map_name=name, map_sha256=compute_image_digest(map_yaml))
@@ -61,9 +56,6 @@ def mask_to_folder(
         if masks:
             folder.file("nav2_filters.yaml").write_text(describe_filters(masks), encoding="utf-8")
         write_edits(folder.file("edits.geojson"), drawn)
-        if world is not None:
-            text = format_edits_in_degrees(drawn, world)
-            folder.file("edits_wgs84.geojson").write_text(text, encoding="utf-8")
         document = _describe(map_yaml, edits, drawn, masks, grid, edited)
         folder.write_json("mask.json", document)
     print_result(document, _summarize(document, out), as_json)

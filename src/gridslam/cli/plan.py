@@ -19,11 +19,10 @@ from gridslam.plan.drawing import draw_plan
 from gridslam.plan.exports import write_dxf, write_geojson
 from gridslam.plan.floor_plan import FloorPlan, make_plan
 from gridslam.plan.rooms import name_rooms
-from gridslam.plan.sheet import write_pdf, write_png, write_svg
+from gridslam.plan.sheet import write_png, write_svg
 from gridslam.plan.source import read_source
-from gridslam.plan.world import WorldOrigin
 
-_NAMES = "plan.svg", "plan.pdf", "plan.png", "plan.dxf", "plan.geojson", "plan.json"
+_NAMES = "plan.svg", "plan.png", "plan.dxf", "plan.geojson", "plan.json"
 _CHANGES_NAMES = "changes.png", "changes.geojson", "changes.json"
 _LEAST_SHARE = 0.3
 """Of a map's surfaces that must lie on the other one's: two days of one building have more than half."""
@@ -35,7 +34,6 @@ def plan_to_folder(
     out: Path,
     scale: int,
     straighten: bool,
-    origin: tuple[float, float, float] | None,
     as_json: bool,
 ) -> None:
     """Make a floor plan, write it to a folder and print a summary."""
@@ -49,11 +47,9 @@ def plan_to_folder(
         shown = plan.straighten() if straighten else plan
         sheet = draw_plan(shown, given.name, scale)
         write_svg(folder.file("plan.svg"), sheet)
-        write_pdf(folder.file("plan.pdf"), sheet)
         write_png(folder.file("plan.png"), sheet)
         write_dxf(folder.file("plan.dxf"), shown)
-        world = None if origin is None else WorldOrigin(*origin)
-        write_geojson(folder.file("plan.geojson"), shown if world is None else plan, given.name, world)
+        write_geojson(folder.file("plan.geojson"), shown, given.name)
         document = _describe(source, shown, scale, "cells" if given.points is None else "end points")
         folder.write_json("plan.json", document)
     print_result(document, _summarize(shown, document, out), as_json)
@@ -69,9 +65,8 @@ def _describe(source: Path, plan: FloorPlan, scale: int, made_from: str) -> dict
         "bounds_m": [low, high],
         "dominant_deg": float(np.rad2deg(plan.dominant_rad)),
         "turned_deg": float(np.rad2deg(plan.turned_rad)),
-        "walls": len(plan.walls) + len(plan.arcs),
-        "walls_length_m": sum(wall.length_m for wall in plan.walls) + sum(arc.length_m for arc in plan.arcs),
-        "arcs": len(plan.arcs),
+        "walls": len(plan.walls),
+        "walls_length_m": sum(wall.length_m for wall in plan.walls),
         "doors": [
             {"kind": o.kind, "width_m": o.width_m, "middle_m": o.ends.mean(axis=0).tolist()} for o in plan.openings
         ],
@@ -85,10 +80,9 @@ def _describe(source: Path, plan: FloorPlan, scale: int, made_from: str) -> dict
 
 def _summarize(plan: FloorPlan, document: dict[str, Any], out: Path) -> Iterator[str]:
     thick = sum(wall.thickness_m is not None for wall in plan.walls)
-    round_ones = f"{len(plan.arcs)} round, " if plan.arcs else ""
     yield (
         f"{counted(document['walls'], 'wall')}, {document['walls_length_m']:.0f} m, {thick} of them with their "
-        f"thickness, {round_ones}from {document['made_from']}; most run at {document['dominant_deg']:.2f} deg"
+        f"thickness, from {document['made_from']}; most run at {document['dominant_deg']:.2f} deg"
     )
     widths = sorted(opening.width_m for opening in plan.openings)
     yield f"{len(widths)} doors and openings" + (f", {widths[0]:.2f} to {widths[-1]:.2f} m wide" if widths else "")
@@ -97,7 +91,7 @@ def _summarize(plan: FloorPlan, document: dict[str, Any], out: Path) -> Iterator
     yield f"{counted(len(plan.rooms) - len(looked_into), 'room')}, {area_m2:.0f} m\u00b2" + (
         f"; {len(looked_into)} more that were only looked into, {sum(looked_into):.0f} m\u00b2" if looked_into else ""
     )
-    yield f"plan, 1:{document['scale']}: {out / 'plan.png'}, {out / 'plan.svg'}, {out / 'plan.pdf'}"
+    yield f"plan, 1:{document['scale']}: {out / 'plan.png'}, {out / 'plan.svg'}"
     yield f"for other programs: {out / 'plan.dxf'}, {out / 'plan.geojson'}"
 
 

@@ -32,7 +32,7 @@ from gridslam.types import FloatArray
 _FEWEST = 8  # intervals
 _VARIANCES = (1e-4, 2e-4)  # of odometry: heading per metre and per radian (rad^2), way per metre and per radian (m^2)
 _LEAST_SPREAD = 0.1  # of the residuals, in the standard deviations assumed
-_DETERMINED = {"scale": 0.01, "turn_scale": 0.015, "drift": 0.004, "yaw": 0.03, "skew": 0.015, "lever": 0.05}
+_DETERMINED = {"scale": 0.01, "turn_scale": 0.015, "drift": 0.004, "yaw": 0.03, "skew": 0.015}
 """Greatest standard deviations of determined values: a third or less of the errors that harm a map."""
 
 _BRIEF = (0.4, 0.25, 0.4)  # metres, radians, seconds of an interval: short beside the time a turn takes to begin
@@ -150,18 +150,10 @@ class MotionCalibration:
         How far the laser is turned to the left beyond what the log declares, in [-pi, pi).
     skew_s : ParameterEstimate, s
         How late scans are stamped on the odometry's clock.
-    x_m, y_m : ParameterEstimate, m
-        The laser's place in the base frame.
     laser_m, laser_rad, odometry_m, odometry_rad : float
         Way and turns of both, over the intervals that could be compared.
     mounting : (3,) float64
         Pose of the laser as declared.
-    intervals : Intervals
-        Of the ways; and
-    residuals : (N, 3) float64
-        Residual of the odometry after calibration: x and y in m in the base frame, rad.
-    noise : (2,) float64
-        Standard deviations of the residuals of an interval, m and rad.
     mirrored : "", "heading" or "path"
         What of the odometry has the wrong sign, because its path contradicts its headings; all else is as without it.
     yaw_improves : bool
@@ -179,16 +171,11 @@ class MotionCalibration:
     drift_rad_per_m: ParameterEstimate
     yaw_rad: ParameterEstimate
     skew_s: ParameterEstimate
-    x_m: ParameterEstimate
-    y_m: ParameterEstimate
     laser_m: float
     laser_rad: float
     odometry_m: float
     odometry_rad: float
     mounting: FloatArray
-    intervals: Intervals
-    residuals: FloatArray
-    noise: FloatArray
     mirrored: Mirrored = ""
     yaw_improves: bool = False
     headings_in_degrees: bool = False
@@ -220,15 +207,9 @@ def calibrate(motion: LaserMotion) -> MotionCalibration:
     sign = -1.0 if reflected else 1.0
     laser = ways.laser * [1.0, sign, sign]
     reported = _chords(ways, laser)
-    scale, yaw, x, y, predicted = _ways(reported, laser, ways.covariances, sign, motion.mounting[2])
-    residuals = np.empty((len(ways), 3))
-    residuals[:, :2] = reported - predicted
-    way = np.hypot(ways.odometry[:, 0], ways.odometry[:, 1])
-    reported_turn = turns.turn_scale.value * laser[:, 2] + turns.drift.value * np.copysign(way, ways.odometry[:, 0])
-    residuals[:, 2] = wrap(ways.odometry[:, 2] - reported_turn)
+    scale, yaw, predicted = _ways(reported, laser, ways.covariances, sign, motion.mounting[2])
     turn_drift = turns.drift
     drift = ParameterEstimate(scale.value * turn_drift.value, scale.value * turn_drift.sigma, turn_drift.determined)
-    noise = np.array([_spread(np.hypot(*residuals[:, :2].T), 1.1774), _spread(np.abs(residuals[:, 2]), 0.6745)])
     return MotionCalibration(
         reflected,
         turns.agreement,
@@ -237,16 +218,11 @@ def calibrate(motion: LaserMotion) -> MotionCalibration:
         drift,
         yaw,
         turns.skew,
-        x,
-        y,
         float(np.hypot(laser[:, 0], laser[:, 1]).sum()),
         float(np.abs(laser[:, 2]).sum()),
-        float(way.sum()),
+        float(np.hypot(ways.odometry[:, 0], ways.odometry[:, 1]).sum()),
         float(np.abs(ways.odometry[:, 2]).sum()),
         motion.mounting,
-        ways,
-        residuals,
-        noise,
         mirrored,
         _improves(reported, predicted, yaw.value),
         are_degrees(*(np.diff(poses[:, 2])[np.diff(motion.tracks) == 0] for poses in (motion.odometry, motion.poses))),
@@ -305,17 +281,12 @@ def _chords(ways: Intervals, laser: FloatArray) -> FloatArray:
     return np.stack([c * x - s * y, s * x + c * y], axis=1)
 
 
-def _spread(sizes: FloatArray, of_unit: float) -> float:
-    return float(np.median(sizes)) / of_unit if len(sizes) else math.nan
-
-
 def _ways(
     response: FloatArray, laser: FloatArray, covariances: FloatArray, sign: float, declared_yaw: float
-) -> tuple[ParameterEstimate, ParameterEstimate, ParameterEstimate, ParameterEstimate, FloatArray]:
-    """Scale, yaw offset and place of the laser, and the ways (N, 2) that they predict."""
+) -> tuple[ParameterEstimate, ParameterEstimate, FloatArray]:
+    """Scale and yaw offset of the laser, and the ways (N, 2) that they predict with its place."""
     if len(laser) < _FEWEST:
-        nothing = ParameterEstimate(0.0)
-        return ParameterEstimate(1.0), nothing, nothing, nothing, response.copy()
+        return ParameterEstimate(1.0), ParameterEstimate(0.0), response.copy()
     design = _design(laser)
     mirror = np.array([1.0, sign])
     spread = covariances[:, :2, :2] * mirror[:, None] * mirror
@@ -337,9 +308,7 @@ def _ways(
     along_sigma, across_sigma = (math.sqrt(max(float(g @ fit.covariance @ g), 0.0)) for g in (along, across))
     factor = _determined(scale, math.hypot(along_sigma, _SCALE_FLOOR), _DETERMINED["scale"] * max(scale, 1.0))
     yaw = _determined(float(wrap(angle - declared_yaw)), across_sigma, _DETERMINED["yaw"])
-    levers = (_estimate(fit, k, _DETERMINED["lever"] * min(scale, 1.0)) for k in (2, 3))
-    x, y = (ParameterEstimate(e.value / scale, e.sigma / scale, e.determined) for e in levers)
-    return factor, yaw, x, y, design @ fit.parameters
+    return factor, yaw, design @ fit.parameters
 
 
 def _design(laser: FloatArray) -> FloatArray:

@@ -34,15 +34,13 @@ _QUICK_SCANS = 300
 """How much `EarlyCheck` looks at: 0.1 ms a scan and 30 ms in all, where the shortest map takes a second."""
 _FEWEST_SCANS = 30  # that it looks at: of stamps in ms there is hardly one in a minute
 
-_RANGE_SCANS = 3000  # after which no motion is waited for: a robot that is parked
-
 _ONLY_WHOLE = ("standing_still", "robot_carried")
 _OF_READER_AT_ONCE = ("missing_files", "missing_transform", "clock_skew")
 _REPORTED_ELSEWHERE = ("unreadable",)
 _MISMOUNTED = ("tilting_laser", "laser_far_away")
 _MIRRORED = ("odometry_mirrored", "reflected_laser")
 _OF_TWO_CLOCKS = ("odometry_unrelated", "no_odometry")
-_OF_ODOMETRY = ("odometry_scale", "odometry_rotation_bias", "odometry_drift", "odometry_unrelated", "wheel_slip")
+_OF_ODOMETRY = ("odometry_scale", "odometry_rotation_bias", "odometry_drift", "odometry_unrelated")
 _CONSEQUENCES = {
     ("random_ranges", Severity.ERROR): ("odometry_frozen",),  # they change while the robot stands
     ("range_limits", Severity.ERROR): _OF_ODOMETRY,  # false walls move with the robot, and hold the laser's motion back
@@ -216,20 +214,6 @@ class Doctor:
         if self._motion is not None:
             self._motion.take(measurement)
 
-    def take_ranges(self, measurement: Measurement) -> None:
-        """Look only at the ranges of the next measurement, for `range_findings`."""
-        self._lasers[measurement.scan.sensor].examiner.take(measurement)
-
-    @property
-    def is_range_check_complete(self) -> bool:
-        """Whether more scans would hardly change the `range_findings`."""
-        return all(laser.examiner.pairs.is_complete for laser in self._lasers.values())
-
-    def range_findings(self) -> Iterator[Finding]:
-        """Yield the findings on ranges that no map can be made of: range_units, laser_frozen, random_ranges."""
-        for sensor, laser in self._lasers.items():
-            yield from laser.examiner.findings(sensor)
-
     def findings(self) -> Iterator[Finding]:
         """Yield the findings so far, without those that follow from others."""
         found = list(self._examine())
@@ -242,7 +226,7 @@ class Doctor:
             yield from laser.stamps.findings(sensor)
         of_beams = [found for sensor, laser in self._lasers.items() for found in laser.beams.findings(sensor)]
         yield from of_beams
-        implausible = list(self.range_findings())
+        implausible = [found for sensor, laser in self._lasers.items() for found in laser.examiner.findings(sensor)]
         yield from implausible
         of_limits = [found for sensor, laser in self._lasers.items() for found in laser.ranges.findings(sensor)]
         yield from of_limits
@@ -325,10 +309,9 @@ def diagnose(
 @final
 @checked
 class EarlyCheck:
-    """Checks a log while it is read: its beginning, and its ranges until motion shows the unit.
+    """Checks the beginning of a log while it is read: a minute, though at least 30 scans and at most 300.
 
-    The beginning is a minute, though at least 30 scans and at most 300. No scan is matched, and findings that need the
-    whole log, such as that the robot never moves, are left out.
+    No scan is matched, and findings that need the whole log, such as that the robot never moves, are left out.
 
     Attributes
     ----------
@@ -341,49 +324,28 @@ class EarlyCheck:
         self._doctor = Doctor(matching=False)
         self._scans = 0
         self._first_ns = 0
-        self._reported: set[tuple[str, str]] | None = None
         self.is_complete = False
 
     def take(self, measurement: Measurement) -> tuple[Finding, ...]:
-        """Look at the next measurement; return the warnings and errors that are certain from here on, each once."""
+        """Look at the next measurement; return the warnings and errors of the beginning where it ends."""
         if self.is_complete:
             return ()
         stamp_ns = measurement.scan.stamp_ns
         self._scans += 1
         if self._scans == 1:
             self._first_ns = stamp_ns
-        if self._reported is None:
-            self._doctor.take(measurement)
-            is_late = self._scans > _FEWEST_SCANS and stamp_ns - self._first_ns > _QUICK_S * 1e9
-            over = self._scans >= _QUICK_SCANS or is_late
-            return self._report(self._doctor.findings()) if over else ()
-        self._doctor.take_ranges(measurement)
-        self.is_complete = self._doctor.is_range_check_complete or self._scans >= _RANGE_SCANS
-        if not self.is_complete:
-            return ()
-        found = self._report(self._doctor.range_findings())
-        self._doctor = Doctor(matching=False)  # the memory of what was seen is not needed any more
-        return found
+        self._doctor.take(measurement)
+        is_late = self._scans > _FEWEST_SCANS and stamp_ns - self._first_ns > _QUICK_S * 1e9
+        return self.end() if self._scans >= _QUICK_SCANS or is_late else ()
 
     def end(self) -> tuple[Finding, ...]:
-        """Return the warnings and errors of a log that ends here, apart from those that `take` has returned."""
+        """Return the warnings and errors of a log that ends here, unless `take` has returned them."""
         if self.is_complete:
             return ()
         self.is_complete = True
-        whole = self._doctor.findings() if self._reported is None else self._doctor.range_findings()
-        return self._report(whole)
-
-    @property
-    def is_first_minute_over(self) -> bool:
-        """Whether more than the ranges has been looked at."""
-        return self._reported is not None
-
-    def _report(self, findings: Iterable[Finding]) -> tuple[Finding, ...]:
-        reported = self._reported or set()
-        found = [f for f in findings if f.is_fault and f.code not in _ONLY_WHOLE]
-        fresh = tuple(f for f in found if (f.code, f.sensor) not in reported)
-        self._reported = reported | {(f.code, f.sensor) for f in fresh}
-        return fresh
+        found = tuple(f for f in self._doctor.findings() if f.is_fault and f.code not in _ONLY_WHOLE)
+        self._doctor = Doctor(matching=False)  # the memory of what was seen is not needed any more
+        return found
 
 
 @final
@@ -454,9 +416,9 @@ class CheckedLog:
         self._report(self._of_reader)
 
     def _take(self, measurement: Measurement) -> tuple[Finding, ...]:
-        was_over = self._check.is_first_minute_over
+        was_over = self._check.is_complete
         found = list(self._check.take(measurement))
-        if self._check.is_first_minute_over and not was_over:
+        if self._check.is_complete and not was_over:
             found += (finding for finding in self._of_reader() if finding.code in _OF_READER_AT_ONCE)
         return (*found, *(() if self._breaks is None else self._breaks.take(measurement)))
 

@@ -6,21 +6,19 @@ import math
 from collections import defaultdict
 from collections.abc import Collection, Iterator
 from dataclasses import dataclass, field
-from typing import NamedTuple, final
+from typing import final
 
 import numpy as np
-from numpy.typing import NDArray
 
 from gridslam.doctor.calibration import MotionCalibration, ParameterEstimate, calibrate
 from gridslam.doctor.finding import Finding, Severity
 from gridslam.doctor.intervals import turn_rates
 from gridslam.doctor.laser_motion import LaserMotion, LaserMotionEstimator
 from gridslam.doctor.range_units import UNITS
-from gridslam.geometry.se2 import between
 from gridslam.io.measurement import Measurement
-from gridslam.types import FloatArray, IntArray, ScanGeometry
+from gridslam.types import ScanGeometry
 
-_OF_WHEELS = {"odometry_scale", "odometry_rotation_bias", "odometry_drift", "wheel_slip"}
+_OF_WHEELS = {"odometry_scale", "odometry_rotation_bias", "odometry_drift"}
 _SMEAR_RAD = 0.02  # over a scan: 10 cm at 5 m, two cells
 _HALF = 0.25  # of half the sweep, or deviations: how near to it a skew is that the sweep makes
 _HALF_SIGMAS = 4.0
@@ -46,19 +44,6 @@ _FASTEST = 0.998  # quantile of the turn rates: the greatest but for single wron
 _SKEW_SIGMAS = 3.0
 _OPPOSITE = -0.6  # correlation of the turns
 _TURNED_RAD = 1.2  # one corner suffices
-_SLIP_M = 0.22  # of one episode
-_SLIP_RAD = 0.3
-_SLIP_SHARE = 0.01  # of all the way
-
-_SUSPECT = np.array([0.06, 0.1])  # m, rad of an interval beyond what is explained: and `_SIGMAS` deviations
-_SIGMAS = 5.0
-_EPISODE = np.array([0.15, 0.25])  # m, rad of a whole episode
-_DETERMINED = np.array([0.028, 0.02])  # m, rad: greatest standard deviation of the laser's own increment
-_AROUND_S = 2.0  # what is made up for so soon was no slip: a message came late, or a match was wrong for a moment
-_KEPT = 0.6
-_PAUSE_S = 0.5  # an episode ends where suspect intervals are farther apart
-_MOSTLY = 0.75  # of the episodes have too much odometry: if as many have too little, it jitters
-_LEAP_M = 0.3  # larger jumps of odometry from one scan to the next: scans are missing, and the laser may be wrong
 
 
 @final
@@ -164,7 +149,7 @@ def motion_findings(motion: LaserMotion, calibration: MotionCalibration | None =
     A fault is reported only if it is larger than what every robot has, and than four standard deviations of its
     estimate.
     Reads `calibration` where that of `motion` is known already. Codes: reflected_laser, odometry_mirrored, yaw_offset,
-    clock_skew, odometry_scale, odometry_rotation_bias, odometry_drift, wheel_slip, odometry_unrelated, odometry_units.
+    clock_skew, odometry_scale, odometry_rotation_bias, odometry_drift, odometry_unrelated, odometry_units.
     """
     if len(motion) < 2:
         return []
@@ -175,7 +160,7 @@ def motion_findings(motion: LaserMotion, calibration: MotionCalibration | None =
         return [_in_degrees(motion)]
     if found.is_unrelated:
         return [_unrelated(motion, found)]
-    return [*_laser_findings(motion, found), *_odometry_findings(motion, found), *_slip_findings(motion, found)]
+    return [*_laser_findings(motion, found), *_odometry_findings(motion, found)]
 
 
 def _unrelated(motion: LaserMotion, found: MotionCalibration) -> Finding:
@@ -325,32 +310,12 @@ def _odometry_findings(motion: LaserMotion, found: MotionCalibration) -> Iterato
 
 
 def name_unit(scale: float) -> str:
-    """Name the unit of the odometry that explains a scale, as an addition to a sentence; empty where none does."""
-    name = next((name for name, of_a_metre in UNITS.items() if abs(scale / of_a_metre - 1) < _SAME_UNIT), "")
-    return f": it is in {name}" if name else ""
-
-
-def _slip_findings(motion: LaserMotion, found: MotionCalibration) -> Iterator[Finding]:
-    slips = wheel_slips(motion, found)
-    if not slips:
-        return
-    sizes = np.array([abs(slip.metres) for slip in slips])
-    turns = np.array([abs(slip.radians) for slip in slips])
-    matters = sizes.max() > _SLIP_M or turns.max() > _SLIP_RAD or sizes.sum() > _SLIP_SHARE * found.laser_m
-    largest = slips[int((sizes / _SLIP_M + turns / _SLIP_RAD).argmax())]
-    first_ns = int(motion.stamps_ns[0])
-    times = "once" if len(slips) == 1 else f"{len(slips)} times"
-    ways = sizes > _SLIP_M / 2
-    yield Finding(
-        "wheel_slip",
-        Severity.WARNING if matters else Severity.INFO,
-        f"The wheels slipped {times}, {sizes.sum():.2f} m and {turns.sum():.2f} rad in all; most after "
-        f"{(largest.stamp_ns - first_ns) * 1e-9:.0f} s: {largest.metres:.2f} m and {largest.radians:.2f} rad in "
-        f"{largest.duration_s:.1f} s.",
-        *((np.median(sizes[ways]), "m") if ways.any() else (np.median(turns), "rad")),
-        "Drive more gently there; scan matching compensates where walls constrain the motion.",
-        motion.sensor,
-    )
+    """Name the unit of odometry or ranges that explains a scale, as the end of a sentence; empty where none does."""
+    for name, of_a_metre in UNITS.items():
+        for what, factor in (("it is", scale / of_a_metre), ("the ranges are", scale * of_a_metre)):
+            if abs(factor - 1) < _SAME_UNIT:
+                return f": {what} in {name}"
+    return ""
 
 
 def _more(amount: float) -> str:
@@ -359,59 +324,3 @@ def _more(amount: float) -> str:
 
 def _side(angle: float) -> str:
     return "left" if angle > 0 else "right"
-
-
-class Slip(NamedTuple):
-    """One episode: start, duration, and the excess of the odometry over the true motion (signed)."""
-
-    stamp_ns: int
-    duration_s: float
-    metres: float
-    radians: float
-
-
-def wheel_slips(motion: LaserMotion, calibration: MotionCalibration) -> list[Slip]:
-    """Find episodes in the residuals of a calibration, by the time they began.
-
-    Intervals in which the laser does not determine its motion well take no part. Wheels that slip turn more than the
-    robot moves; a log whose odometry is as often too small has another fault than slip.
-    """
-    parts = calibration.intervals
-    residuals = calibration.residuals[:, [0, 2]]
-    if not len(parts):
-        return []
-    spread = np.sqrt(np.diagonal(parts.covariances, axis1=1, axis2=2))
-    known = np.stack([spread[:, :2].max(axis=1), spread[:, 2]], axis=1) < _DETERMINED
-    even = _even(motion.odometry, parts.begins, parts.ends)
-    residuals = np.where(known & even[:, None], residuals, 0.0)
-    times = motion.stamps_ns[parts.begins] * 1e-9
-    until = motion.stamps_ns[parts.ends] * 1e-9
-    suspect = (np.abs(residuals) > np.maximum(_SUSPECT, _SIGMAS * np.nan_to_num(calibration.noise))).any(axis=1)
-    found: list[Slip] = []
-    short = 0
-    indices = np.flatnonzero(suspect)
-    pauses = (np.diff(indices) > 1) | (times[indices[1:]] - until[indices[:-1]] >= _PAUSE_S)
-    for run in np.split(indices, np.flatnonzero(pauses) + 1) if len(indices) else []:
-        first = run[0]
-        last = run[-1]
-        amount = residuals[max(first - 1, 0) : last + 2].sum(axis=0)  # it begins and ends within an interval
-        around = (times > times[first] - _AROUND_S) & (until < until[last] + _AROUND_S)
-        net = residuals[around].sum(axis=0)
-        large = (np.abs(amount) > _EPISODE) & (net / np.where(amount == 0, 1.0, amount) > _KEPT)
-        if not large.any():
-            continue
-        reported = parts.odometry[first : last + 1, ::2].sum(axis=0)
-        if (amount * reported)[large].max() <= 0:
-            short += 1
-        else:
-            stamp_ns = int(motion.stamps_ns[parts.begins[first]])
-            found.append(Slip(stamp_ns, float(until[last] - times[first]), float(amount[0]), float(amount[1])))
-    return found if len(found) >= _MOSTLY * (len(found) + short) else []
-
-
-def _even(odometry: FloatArray, begins: IntArray, ends: IntArray) -> NDArray[np.bool_]:
-    """Return whether odometry moves evenly enough from scan to scan, in each of N intervals and just before it."""
-    steps = np.nan_to_num(between(odometry[:-1], odometry[1:])[:, :2])
-    leaps = np.concatenate([[False], np.hypot(*np.diff(steps, axis=0).T) > _LEAP_M, [False]])
-    before = np.concatenate([[0], np.cumsum(leaps)])
-    return np.asarray(before[np.minimum(ends + 1, len(before) - 1)] == before[np.maximum(begins - 1, 0)])

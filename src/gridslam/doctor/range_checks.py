@@ -1,4 +1,4 @@
-"""Ranges that no map can be made of: in another unit than metres, of a frozen laser, or random."""
+"""Ranges that no map can be made of: too large for metres, of a frozen laser, or random."""
 
 from __future__ import annotations
 
@@ -11,16 +11,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gridslam.doctor.finding import Finding, Severity
-from gridslam.doctor.range_units import UNITS, PairComparison, RangeSizes, measured_beams, polar_scan
-from gridslam.doctor.scan_prediction import disagreement_as_reported, move_laser
-from gridslam.geometry.se2 import between
+from gridslam.doctor.range_units import RangeSizes, measured_beams
 from gridslam.io.measurement import Measurement
-from gridslam.types import FloatArray, LaserScan
+from gridslam.types import BeamStatus, FloatArray, LaserScan
 
-_FROZEN_M = 1.0  # of odometry: from here on the view is a new one, as after a gap
+_FROZEN_M = 1.0  # of odometry: a laser with noise never sees the same so long
 _FROZEN_RAD = 0.5
-_CHANGES = 0.05  # of the view, that the motion must make: along a bare corridor it makes none
-_MOST_CHECKS = 100
 _FROZEN_SHARE = 0.1  # of the metres or radians: from here on the map is unusable
 
 _SAMPLED = 25  # scans whose ranges are looked at one by one; and then
@@ -35,7 +31,7 @@ _UNRELATED = 0.8  # of that spread: random ranges have 1, and walls some hundred
 @final
 @dataclass(slots=True)
 class _FrozenScans:
-    """Runs of scans that are identical to the last bit while the odometry moves."""
+    """Runs of scans that are identical to the last bit over 1 m or 0.5 rad of odometry and more."""
 
     metres: float = 0.0
     radians: float = 0.0
@@ -43,84 +39,40 @@ class _FrozenScans:
     frozen_rad: float = 0.0
     _ranges: bytes = b""
     _last: FloatArray | None = None
-    _start: FloatArray | None = None
-    _anchor: FloatArray | None = None
     _run_m: float = 0.0
     _run_rad: float = 0.0
-    _next_m: float = 0.0
-    _next_rad: float = 0.0
-    _checks: int = 0
-    _is_frozen: bool = False
 
     def take(self, pose: FloatArray, scan: LaserScan) -> None:
         """Take the next scan of the laser, with the pose (3,) of the odometry."""
-        before = self._last
-        self._last = pose
-        ranges = scan.ranges.tobytes()
-        same = ranges == self._ranges
+        before, self._last = self._last, pose
+        same = (ranges := scan.ranges.tobytes()) == self._ranges
         self._ranges = ranges
         if before is None:
             return
         x, y, theta = (pose - before).tolist()
         metres = math.hypot(x, y)
-        radians = abs((theta + math.pi) % math.tau - math.pi)
+        radians = abs(math.remainder(theta, math.tau))
         self.metres += metres
         self.radians += radians
-        if not same:
-            self._start = None
-            return
-        if self._start is None:
-            self._begin(before)
-        self._run_m += metres
-        self._run_rad += radians
-        if self._is_frozen:
-            self.frozen_m += metres
-            self.frozen_rad += radians
-        elif self._shows_motion(scan, pose):
-            self._is_frozen = True
-            self.frozen_m += self._run_m
-            self.frozen_rad += self._run_rad
+        was_frozen = self._is_frozen
+        self._run_m, self._run_rad = (self._run_m + metres, self._run_rad + radians) if same else (0.0, 0.0)
+        if self._is_frozen and np.count_nonzero(scan.status == BeamStatus.HIT) >= _FEWEST_BEAMS:
+            self.frozen_m += metres if was_frozen else self._run_m
+            self.frozen_rad += radians if was_frozen else self._run_rad
 
-    def _begin(self, pose: FloatArray) -> None:
-        self._start = self._anchor = pose
-        self._run_m = self._run_rad = 0.0
-        self._next_m = _FROZEN_M
-        self._next_rad = _FROZEN_RAD
-        self._checks = 0
-        self._is_frozen = False
-
-    def _shows_motion(self, scan: LaserScan, pose: FloatArray) -> bool:
-        """Whether the motion since the last check, or since the beginning of the run, must have changed the scan.
-
-        The view changes late in a large hall, and in a corridor in its bends alone.
-        """
-        if self._start is None or self._anchor is None or self._checks >= _MOST_CHECKS:
-            return False
-        if self._run_m < self._next_m and self._run_rad < self._next_rad:
-            return False
-        self._checks += 1
-        self._next_m = self._run_m + _FROZEN_M
-        self._next_rad = self._run_rad + _FROZEN_RAD
-        motions = between(np.stack([self._anchor, self._start]), pose)
-        self._anchor = pose
-        return any(_changes_view(scan, motion) for motion in motions)
+    @property
+    def _is_frozen(self) -> bool:
+        return self._run_m >= _FROZEN_M or self._run_rad >= _FROZEN_RAD
 
     def skip(self) -> None:
         """Take a scan without odometry: the motion since the last one is not known."""
-        self._last = self._start = None
+        self._last = None
+        self._run_m = self._run_rad = 0.0
 
     @property
     def share(self) -> float:
         """Share of the metres, or of the radians, in which the scans are frozen; the greater of the two."""
         return max(self.frozen_m / max(self.metres, _FROZEN_M), self.frozen_rad / max(self.radians, _FROZEN_RAD))
-
-
-def _changes_view(scan: LaserScan, motion: FloatArray) -> bool:
-    """Return whether a motion (3,) of the base must change the scan."""
-    view = polar_scan(scan)
-    if view is None:
-        return False
-    return _CHANGES < disagreement_as_reported(view, view, move_laser(view, view, motion)) < math.inf
 
 
 @final
@@ -159,7 +111,6 @@ class _Relations:
 class RangeExaminer:
     """The ranges of one laser, by themselves and against the odometry: range_units, laser_frozen, random_ranges."""
 
-    pairs: PairComparison = field(default_factory=PairComparison)
     _sizes: RangeSizes = field(default_factory=RangeSizes)
     _frozen: _FrozenScans = field(default_factory=_FrozenScans)
     _relations: _Relations = field(default_factory=_Relations)
@@ -179,7 +130,6 @@ class RangeExaminer:
             self._frozen.skip()
         else:
             self._frozen.take(odometry.pose, scan)
-            self.pairs.take(odometry.pose, scan)
 
     def findings(self, sensor: str) -> Iterator[Finding]:
         """Yield the finding on the ranges of the laser of that name: one at the most, as the others follow from it."""
@@ -205,53 +155,29 @@ class RangeExaminer:
 
     def _laser_frozen(self, sensor: str) -> Finding | None:
         frozen = self._frozen
-        if frozen.frozen_m or frozen.frozen_rad:
-            return Finding(
-                "laser_frozen",
-                Severity.ERROR if frozen.share > _FROZEN_SHARE else Severity.WARNING,
-                f"The laser is frozen: its scans are identical over {frozen.frozen_m:.1f} of {frozen.metres:.1f} m and "
-                f"{frozen.frozen_rad:.1f} of {frozen.radians:.1f} rad of odometry.",
-                frozen.share,
-                "share",
-                "Look for what stops the laser or repeats its scans; there is nothing to map in between.",
-                sensor,
-            )
-        pairs = self.pairs.find_stop()
-        if pairs is None:
+        if not (frozen.frozen_m or frozen.frozen_rad):
             return None
         return Finding(
             "laser_frozen",
-            Severity.ERROR,
-            f"The laser sees no motion where the odometry moves, in nearly all of {pairs} pairs of scans: the laser is "
-            "frozen, it sees the robot itself or the floor, or the wheels turn on the spot.",
-            1.0,
+            Severity.ERROR if frozen.share > _FROZEN_SHARE else Severity.WARNING,
+            f"The laser is frozen: its scans are identical over {frozen.frozen_m:.1f} of {frozen.metres:.1f} m and "
+            f"{frozen.frozen_rad:.1f} of {frozen.radians:.1f} rad of odometry.",
+            frozen.share,
             "share",
-            "Look for what stops the laser or blocks its view, and whether the odometry is right.",
+            "Look for what stops the laser or repeats its scans; there is nothing to map in between.",
             sensor,
         )
 
     def _units(self, sensor: str) -> Finding | None:
-        unit = self.pairs.find_unit()
         odd = self._sizes.describe()
-        if unit is None and odd is None:
+        if odd is None:
             return None
-        reasons = []
-        name = "another unit"
-        size = None
-        if unit is not None:
-            name, count = unit
-            size = UNITS[name]
-            reasons.append(
-                f"in {count} pairs of scans the laser moved {size:.4g} times as far as the odometry in metres"
-            )
-        if odd is not None:
-            reasons.append(odd)
         return Finding(
             "range_units",
             Severity.ERROR,
-            f"The ranges are in {name}, not in metres: {'; '.join(reasons)}.",
-            size,
-            "1/m",
+            f"The ranges are not in metres, but in centimetres, millimetres or another unit: {odd}.",
+            None,
+            "",
             "Convert the ranges and their limits to metres where they are recorded; they are never converted here.",
             sensor,
         )

@@ -1,8 +1,8 @@
-"""Predict the scan of a laser at another pose from one scan, for any unit of the ranges.
+"""Predict the scan of a laser at another pose from one scan.
 
 A surface seen from one place is seen from another at a bearing and range that follow from the motion between the two.
-How far the measured ranges are from those is a ratio, so that the unit of the ranges does not matter, only the length
-of the motion in this unit. No map is built, and neither a cell size nor a noise in metres is assumed.
+How far the measured ranges are from those is a ratio. No map is built, and neither a cell size nor a noise in metres is
+assumed.
 """
 
 from __future__ import annotations
@@ -45,7 +45,7 @@ class PolarScan:
     Attributes
     ----------
     ends : (K, 2) float64
-        Ends of at most 64 of its beams, in the unit of the ranges.
+        Ends of at most 64 of its beams, m.
     origin : (2,) float64, m
         The laser's place in the base frame.
     """
@@ -87,7 +87,7 @@ def move_laser(first: PolarScan, second: PolarScan, motion: FloatArray) -> Float
     return np.array([*(motion[:2] + turn @ second.origin - first.origin), motion[2]])
 
 
-def disagreements(first: PolarScan, second: PolarScan, motion: FloatArray, scales: FloatArray) -> FloatArray:
+def find_disagreement(first: PolarScan, second: PolarScan, motion: FloatArray) -> float:
     """Return how badly the second scan agrees with the first one, seen after a motion of the laser.
 
     Parameters
@@ -96,49 +96,40 @@ def disagreements(first: PolarScan, second: PolarScan, motion: FloatArray, scale
         Each of at least `FEWEST_BEAMS` beams.
     motion : (3,) float64
         Motion of the laser as `move_laser` gives it, m and rad. Turns that differ by up to 0.125 rad are tried, too.
-    scales : (S,) float64
-        Units of range per metre.
 
     Returns
     -------
-    (S,) float64
+    float
         Median of the absolute logarithms of the ratio of predicted and measured range, at the best of all turns;
         infinite where less than half of the beams are in view of both.
     """
-    predicted = _predict(first, motion, scales)
-    coarse = np.broadcast_to(_COARSE_RAD, (len(scales), len(_COARSE_RAD)))
-    best = _COARSE_RAD[_medians(second, *predicted, coarse).argmin(axis=1)]
-    fine = best[:, None] + _FINE_RAD
-    return np.asarray(_medians(second, *predicted, fine).min(axis=1))
+    predicted = _predict(first, motion)
+    best = _COARSE_RAD[_medians(second, *predicted, _COARSE_RAD).argmin()]
+    return float(_medians(second, *predicted, best + _FINE_RAD).min())
 
 
-def disagreement_as_reported(first: PolarScan, second: PolarScan, motion: FloatArray) -> float:
-    """As `disagreements` for ranges in m, with the turn of the motion and no other."""
-    return float(_medians(second, *_predict(first, motion, np.ones(1)), np.zeros((1, 1)))[0, 0])
-
-
-def log_ratios_as_reported(first: PolarScan, second: PolarScan, motion: FloatArray) -> FloatArray:
-    """Logarithms (K,) of the ratios of predicted and measured range, for ranges in m and the turn of the motion.
+def log_ratios(first: PolarScan, second: PolarScan, motion: FloatArray) -> FloatArray:
+    """Logarithms (K,) of the ratios of predicted and measured range, for the turn of the motion.
 
     Those of beams in view of both; below 0 where the second scan sees farther than the first one.
     """
-    ranges, bearings = _predict(first, motion, np.ones(1))
-    ratios = np.log(ranges[0] * second.nearness_at(bearings[0]))
+    ranges, bearings = _predict(first, motion)
+    ratios = np.log(ranges * second.nearness_at(bearings))
     return np.asarray(ratios[np.isfinite(ratios)])
 
 
-def _predict(first: PolarScan, motion: FloatArray, scales: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Return ranges and bearings (S, K) of the ends of a scan after a motion of the laser."""
-    moved = (first.ends - scales[:, None, None] * motion[:2]) @ adjoint([0.0, 0.0, motion[2]])[:2, :2]
-    return np.maximum(np.hypot(moved[..., 0], moved[..., 1]), _NEAREST), np.arctan2(moved[..., 1], moved[..., 0])
+def _predict(first: PolarScan, motion: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return ranges and bearings (K,) of the ends of a scan after a motion of the laser."""
+    moved = (first.ends - motion[:2]) @ adjoint([0.0, 0.0, motion[2]])[:2, :2]
+    return np.maximum(np.hypot(moved[:, 0], moved[:, 1]), _NEAREST), np.arctan2(moved[:, 1], moved[:, 0])
 
 
 def _medians(scan: PolarScan, ranges: FloatArray, bearings: FloatArray, turns: FloatArray) -> FloatArray:
-    """Return median disagreements (S, T) of predicted ranges (S, K) at bearings (S, K), turned by -`turns` (S, T)."""
-    turned = wrap(bearings[:, None, :] - turns[:, :, None])
-    apart = np.abs(np.log(ranges[:, None, :] * scan.nearness_at(turned)))
-    apart.sort(axis=2)  # what is unknown comes last
-    known = np.count_nonzero(np.isfinite(apart), axis=2)
-    beams = apart.shape[2]
-    median = np.take_along_axis(apart, np.minimum(known // 2, beams - 1)[..., None], axis=2)[..., 0]
+    """Return median disagreements (T,) of predicted ranges (K,) at bearings (K,), turned by -`turns` (T,)."""
+    turned = wrap(bearings - turns[:, None])
+    apart = np.abs(np.log(ranges * scan.nearness_at(turned)))
+    apart.sort(axis=1)  # what is unknown comes last
+    known = np.count_nonzero(np.isfinite(apart), axis=1)
+    beams = len(bearings)
+    median = apart[np.arange(len(turns)), np.minimum(known // 2, beams - 1)]
     return np.where(known >= max(FEWEST_BEAMS, _LEAST_COMMON * beams), median, np.inf)

@@ -9,7 +9,7 @@ from typing import Final, final
 import numpy as np
 
 from gridslam.doctor.range_units import polar_scan
-from gridslam.doctor.scan_prediction import PolarScan, disagreements, log_ratios_as_reported, move_laser
+from gridslam.doctor.scan_prediction import PolarScan, find_disagreement, log_ratios, move_laser
 from gridslam.geometry.se2 import between
 from gridslam.types import BeamStatus, FloatArray, LaserScan
 
@@ -80,7 +80,7 @@ class View:
         view = self.polar
         if view is None:
             return math.nan
-        return float(disagreements(before, view, move_laser(before, view, between(pose, self.pose)), np.ones(1))[0])
+        return find_disagreement(before, view, move_laser(before, view, between(pose, self.pose)))
 
     def is_both_sides_of(self, before: PolarScan, pose: FloatArray) -> bool:
         """Return whether many beams end nearer, and many farther than by the view from before.
@@ -90,7 +90,7 @@ class View:
         view = self.polar
         if view is None:
             return False
-        ratios = log_ratios_as_reported(before, view, move_laser(before, view, between(pose, self.pose)))
+        ratios = log_ratios(before, view, move_laser(before, view, between(pose, self.pose)))
         low, high = np.quantile(ratios, [_MANY, 1 - _MANY]) if len(ratios) else (0.0, 0.0)
         return bool(low < -_SIDE and high > _SIDE)
 

@@ -13,12 +13,12 @@ from gridslam.io.yaml import parse_yaml
 _LARGEST_BYTES = 1 << 18
 
 
-def read_parameter_file(path: str | Path, *, keeps_qos: bool = False) -> list[tuple[str, dict[str, Any]]]:
+def read_parameter_file(path: str | Path) -> list[tuple[str, dict[str, Any]]]:
     """Read the nodes of a parameter file, in its order: their names, and their values by dotted names.
 
     A name is the full one of the node, `/robot1/amcl`, or a pattern of full names, `/**`. Files of ROS 1 hold the
     parameters of one node; its name is then empty. Tables of parameters are flattened: `initial_pose: {x: 1}` is the
-    parameter `initial_pose.x`. `qos_overrides` are the middleware's, and left out unless `keeps_qos`.
+    parameter `initial_pose.x`. `qos_overrides` are the middleware's, and left out.
 
     Raises
     ------
@@ -37,7 +37,7 @@ def read_parameter_file(path: str | Path, *, keeps_qos: bool = False) -> list[tu
     for name, parameters in nodes:
         if not isinstance(parameters, dict):
             raise InputError(path, f"expected parameters below ros__parameters of {name}, got {parameters!r}")
-    return [(name, flatten_parameters(parameters, keeps_qos=keeps_qos)) for name, parameters in nodes]
+    return [(name, flatten_parameters(parameters)) for name, parameters in nodes]
 
 
 def _find_nodes(tree: Any, above: str) -> Iterator[tuple[str, Any]]:  # noqa: ANN401
@@ -49,15 +49,15 @@ def _find_nodes(tree: Any, above: str) -> Iterator[tuple[str, Any]]:  # noqa: AN
             yield from _find_nodes(below, f"{above}/{str(name).strip('/')}")
 
 
-def flatten_parameters(table: Mapping[str, Any], *, keeps_qos: bool = False) -> dict[str, Any]:
+def flatten_parameters(table: Mapping[str, Any]) -> dict[str, Any]:
     """Return parameters by dotted names: `initial_pose: {x: 1}` is the parameter `initial_pose.x`."""
     found: dict[str, Any] = {}
     for key, value in table.items():
         name = str(key)  # YAML has keys of other kinds
-        if name.partition(".")[0] == "qos_overrides" and not keeps_qos:
+        if name.partition(".")[0] == "qos_overrides":
             continue
         if isinstance(value, Mapping):
-            found |= {f"{name}.{below}": own for below, own in flatten_parameters(value, keeps_qos=keeps_qos).items()}
+            found |= {f"{name}.{below}": own for below, own in flatten_parameters(value).items()}
         else:
             found[name] = value
     return found

@@ -22,8 +22,6 @@ _OPEN: Colour = (225, 120, 0)
 _MARGIN_MM = 28.0
 _LETTERS_MM = 2.6
 _FACE_MM = 0.5
-_SAGITTA_MM = 0.02
-"""Between a round wall and the lines by which PDF and PNG draw it."""
 _LONGEST_BAR_MM = 50.0
 _SHORTEST_ROOM_LABEL_MM = 8.0
 
@@ -62,9 +60,6 @@ def draw_plan(plan: FloorPlan, name: str, scale: int) -> Sheet:
             marks.append(Mark("walls", place(wall.ends), None, _INK, _FACE_MM))
         else:
             marks.append(Mark("walls", place(wall.outline), _INK, _INK, 0.13, closed=True))
-    for half in (half for arc in plan.arcs for half in arc.halves()):
-        points = place(half.points(_SAGITTA_MM / per_m))
-        marks.append(Mark("walls", points, None, _INK, _FACE_MM, radius_mm=half.radius_m * per_m))
     for opening in plan.openings:
         marks.append(Mark("doors", place(opening.ends), None, _DOOR, 0.25))
         where = place(opening.ends).mean(axis=0) + 2.0 * opening.normal

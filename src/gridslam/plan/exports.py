@@ -1,4 +1,4 @@
-"""A floor plan as DXF for CAD, and as GeoJSON for maps of the world and for programs."""
+"""A floor plan as DXF for CAD, and as GeoJSON for programs."""
 
 from __future__ import annotations
 
@@ -10,23 +10,20 @@ import numpy as np
 from gridslam.errors import MissingDependencyError
 from gridslam.io.geojson import format_features
 from gridslam.plan.floor_plan import FloorPlan
-from gridslam.plan.world import WorldOrigin
 from gridslam.types import FloatArray
 
-_SAGITTA_M = 0.005
-"""Between a round wall and the lines of GeoJSON, which has no arcs."""
 _LAYERS = {"WALLS": 7, "DOORS": 5, "ROOMS": 3, "UNKNOWN": 30, "FURNITURE": 8}
 """Layers of the DXF, and their colours by the index of AutoCAD."""
 
 
-def describe_features(plan: FloorPlan, origin: WorldOrigin | None = None) -> list[dict[str, Any]]:
+def describe_features(plan: FloorPlan) -> list[dict[str, Any]]:
     """Features of GeoJSON: walls, doors, rooms, furniture and unknown sides, each with its layer and its measures."""
 
     def ring(points: FloatArray) -> list[list[float]]:
-        return _positions(np.concatenate([points, points[:1]]), origin)
+        return _positions(np.concatenate([points, points[:1]]))
 
     def line(points: FloatArray) -> dict[str, Any]:
-        return {"type": "LineString", "coordinates": _positions(points, origin)}
+        return {"type": "LineString", "coordinates": _positions(points)}
 
     features = []
     for wall in plan.walls:
@@ -36,9 +33,6 @@ def describe_features(plan: FloorPlan, origin: WorldOrigin | None = None) -> lis
         else:
             measures["thickness_m"] = round(wall.thickness_m, 3)
             features.append(_feature("walls", _polygon([ring(wall.outline)]), measures))
-    for arc in plan.arcs:
-        measures = {"length_m": round(arc.length_m, 3), "radius_m": round(arc.radius_m, 3)}
-        features.append(_feature("walls", line(arc.points(_SAGITTA_M)), measures))
     for opening in plan.openings:
         measures = {"width_m": round(opening.width_m, 3)}
         features.append(_feature("doors", line(opening.ends), {"kind": opening.kind, **measures}))
@@ -59,24 +53,18 @@ def _polygon(rings: list[list[list[float]]]) -> dict[str, Any]:
     return {"type": "Polygon", "coordinates": rings}
 
 
-def _positions(points: FloatArray, origin: WorldOrigin | None) -> list[list[float]]:
-    """Positions of points; to the millimetre, in degrees to 0.1 mm."""
-    rounded = np.round(points, 3) if origin is None else np.round(origin.to_degrees(points), 9)
-    return [[float(x) + 0.0, float(y) + 0.0] for x, y in rounded]
+def _positions(points: FloatArray) -> list[list[float]]:
+    """Positions of points, to the millimetre."""
+    return [[float(x) + 0.0, float(y) + 0.0] for x, y in np.round(points, 3)]
 
 
-def write_geojson(path: Path, plan: FloorPlan, name: str, origin: WorldOrigin | None = None) -> None:
-    """Write a plan as GeoJSON (RFC 7946): in degrees of WGS84 with an origin, and else in metres of the map's frame.
+def write_geojson(path: Path, plan: FloorPlan, name: str) -> None:
+    """Write a plan as GeoJSON (RFC 7946) in metres of the map's frame.
 
     The RFC wants degrees; metres are the prior arrangement that its section 4 allows, stated in "units".
     """
-    document = {
-        "type": "FeatureCollection",
-        "name": name,
-        "units": "m" if origin is None else "degrees",
-        "turned_rad": plan.turned_rad,
-    }
-    path.write_text(format_features(document, describe_features(plan, origin)), encoding="utf-8")
+    document = {"type": "FeatureCollection", "name": name, "units": "m", "turned_rad": plan.turned_rad}
+    path.write_text(format_features(document, describe_features(plan)), encoding="utf-8")
 
 
 def write_dxf(path: Path, plan: FloorPlan) -> None:
@@ -108,9 +96,6 @@ def write_dxf(path: Path, plan: FloorPlan) -> None:
 
     for wall in plan.walls:
         outline(wall.outline if wall.thickness_m else wall.ends, "WALLS", wall.thickness_m is not None)
-    for half in (half for arc in plan.arcs for half in arc.halves()):
-        ends = np.rad2deg([half.begin, half.end]).tolist()
-        space.add_arc(half.centre.tolist(), half.radius_m, *ends, dxfattribs={"layer": "WALLS"})
     for opening in plan.openings:
         outline(opening.ends, "DOORS", False)
         write(f"{opening.width_m:.2f}", opening.ends.mean(axis=0), "DOORS", 0.15)

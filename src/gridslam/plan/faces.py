@@ -13,11 +13,11 @@ from gridslam.plan.rasters import BoolArray
 from gridslam.plan.surfaces import SurfacePoints, label_surfaces
 from gridslam.types import FloatArray, IntArray
 
-GAP_M = 0.3
+_GAP_M = 0.3
 """Along a face points are no farther apart: less than a door, more than beams are at 15 m."""
-OFFSET_M = 0.05
+_OFFSET_M = 0.05
 """Points of a face lie no farther from its line."""
-LEAST_COSINE = np.cos(np.deg2rad(15))
+_LEAST_COSINE = np.cos(np.deg2rad(15))
 """Of the angle between the normals of a face and of its points, at least."""
 _MOST_WEIGHT = 20.0
 _FEWEST = 4
@@ -92,21 +92,20 @@ def find_surfaces(points: SurfacePoints) -> Iterator[SurfacePoints]:
 def find_faces(left: SurfacePoints) -> Iterator[Face]:
     """Take straight faces of 0.25 m and more from a connected surface, each grown from where most points agree."""
     while len(left) >= _FEWEST and np.hypot(*np.ptp(left.positions, axis=0)) >= _SHORTEST_M:
-        taken, face = _grow(left, choose_seed(left)[0])
+        taken, face = _grow(left, _choose_seed(left))
         if face is not None and face.length_m >= _SHORTEST_M:
             yield face
         left = left.select(~taken)
 
 
-def choose_seed(left: SurfacePoints) -> tuple[int, float]:
-    """Return the point whose line has most points, of at most 40 that are tried, and the weight of these."""
+def _choose_seed(left: SurfacePoints) -> int:
+    """Return the point whose line has most points, of at most 40 that are tried."""
     tried = np.linspace(0, len(left) - 1, min(40, len(left))).astype(np.int64)
     places, normals = left.positions[tried], left.normals[tried]
     asked = left.select(slice(None, None, 1 + len(left) // _MOST_ASKED))
     offsets = asked.positions @ normals.T - (places * normals).sum(axis=1)
-    agree = (np.abs(offsets) < OFFSET_M) & (asked.normals @ normals.T > LEAST_COSINE)
-    heights = asked.weights @ agree
-    return int(tried[np.argmax(heights)]), float(heights.max() * left.weights.sum() / asked.weights.sum())
+    agree = (np.abs(offsets) < _OFFSET_M) & (asked.normals @ normals.T > _LEAST_COSINE)
+    return int(tried[np.argmax(asked.weights @ agree)])
 
 
 def _grow(left: SurfacePoints, seed: int) -> tuple[BoolArray, Face | None]:
@@ -117,7 +116,7 @@ def _grow(left: SurfacePoints, seed: int) -> tuple[BoolArray, Face | None]:
     agree = np.zeros(0, np.int64)
     for _ in range(_ROUNDS):
         apart, before = left.positions - middle, agree
-        agree = np.flatnonzero((np.abs(apart @ normal) < OFFSET_M) & (left.normals @ normal > LEAST_COSINE))
+        agree = np.flatnonzero((np.abs(apart @ normal) < _OFFSET_M) & (left.normals @ normal > _LEAST_COSINE))
         if len(agree) < _FEWEST - 1:
             return taken, None
         agree = agree[_run(apart[agree] @ np.array([normal[1], -normal[0]]))]
@@ -133,7 +132,7 @@ def _grow(left: SurfacePoints, seed: int) -> tuple[BoolArray, Face | None]:
 def _run(along: FloatArray) -> IntArray:
     """Of places (N,) along a line the numbers of those in the run without a gap that has most of them."""
     order = np.argsort(along)
-    bounds = np.concatenate([[0], np.flatnonzero(np.diff(along[order]) > GAP_M) + 1, [len(along)]])
+    bounds = np.concatenate([[0], np.flatnonzero(np.diff(along[order]) > _GAP_M) + 1, [len(along)]])
     most = np.argmax(np.diff(bounds))
     return order[bounds[most] : bounds[most + 1]]
 

@@ -8,7 +8,6 @@ from typing import final
 
 import numpy as np
 
-from gridslam.plan.arcs import Arc, find_arcs
 from gridslam.plan.faces import Face, dominant_direction, find_faces, find_surfaces, snap_directions
 from gridslam.plan.openings import Opening, find_openings
 from gridslam.plan.rasters import BoolArray, Raster, dilate, erode, fill_polygons, make_raster
@@ -18,7 +17,6 @@ from gridslam.plan.untyped import ndimage, require_map_extra
 from gridslam.plan.walls import Wall, close_corners, drop_clutter, find_furniture_faces, hull, join_faces, make_walls
 from gridslam.types import FloatArray, OccupancyGrid
 
-_SAGITTA_M = 0.01
 _BESIDE_M = 0.25
 _LEAST_BESIDE = 0.2
 _SLIT_CELLS = 2
@@ -45,8 +43,6 @@ class FloorPlan:
         Direction in or across which most walls run.
     turned_rad : float, rad
         By what the plan was turned about the origin of the map.
-    arcs : tuple of Arc
-        Round walls, none of which is among `walls`.
     """
 
     walls: tuple[Wall, ...]
@@ -56,13 +52,11 @@ class FloorPlan:
     faces: tuple[Face, ...]
     dominant_rad: float
     turned_rad: float = 0.0
-    arcs: tuple[Arc, ...] = ()
 
     @property
     def bounds(self) -> FloatArray:
         """Lower left and upper right corner (2, 2) of all that is shown, m; zeros of an empty plan."""
         shown = [*(wall.outline for wall in self.walls), *(room.outline for room in self.rooms)]
-        shown += [arc.points(_SAGITTA_M) for arc in self.arcs]
         if not shown:
             return np.zeros((2, 2))
         points = np.concatenate(shown)
@@ -86,7 +80,6 @@ class FloorPlan:
             ),
             self.dominant_rad + angle_rad,
             self.turned_rad + angle_rad,
-            tuple(arc.turn(angle_rad) for arc in self.arcs),
         )
 
     def straighten(self) -> FloorPlan:
@@ -114,17 +107,15 @@ def make_plan(grid: OccupancyGrid, points: SurfacePoints | None = None, path: Fl
     require_map_extra()
     raster = make_raster(grid)
     points = points_of_grid(grid) if points is None else points.select(~raster.is_vacated(points.positions))
-    found, arcs = _find_lines_and_arcs(points, raster)
-    chords = [chord for arc in arcs for chord in arc.faces()]
+    found = [face for surface in find_surfaces(points) for face in find_faces(surface)]
     dominant = dominant_direction(found)
     joined = snap_directions(drop_clutter(join_faces(found, raster)), dominant)
     is_furniture, against_walls = find_furniture_faces(joined, raster)
     faces = [face for face, is_other in zip(joined, is_furniture, strict=True) if not is_other]
     walls = close_corners(make_walls(faces))
-    bounding = [*walls, *(Wall(chord.ends, None) for chord in chords)]
-    floor = _close_floor(raster, [wall.outline for wall in bounding], against_walls)
-    openings = find_openings(floor, raster, bounding, points)
-    rooms = find_rooms(floor, raster, [*faces, *chords], openings, path)
+    floor = _close_floor(raster, [wall.outline for wall in walls], against_walls)
+    openings = find_openings(floor, raster, walls, points)
+    rooms = find_rooms(floor, raster, faces, openings, path)
     furniture = [*_outline_furniture(raster), *against_walls]
     near = _find_near_floor(floor, raster)
     return FloorPlan(
@@ -134,7 +125,6 @@ def make_plan(grid: OccupancyGrid, points: SurfacePoints | None = None, path: Fl
         tuple(outline for outline in furniture if near(outline)),
         tuple(faces),
         dominant,
-        arcs=tuple(arc for arc in arcs if near(arc.outline(_SAGITTA_M))),
     )
 
 
@@ -151,24 +141,6 @@ def _find_near_floor(floor: BoolArray, raster: Raster) -> Callable[[FloatArray],
         return float(near[raster.cells(np.concatenate(places))].mean()) >= _LEAST_BESIDE
 
     return is_near
-
-
-def _find_lines_and_arcs(points: SurfacePoints, raster: Raster) -> tuple[list[Face], list[Arc]]:
-    """Find straight faces, and arcs which are no furniture's: points on an arc are in no face."""
-    faces: list[Face] = []
-    arcs: list[Arc] = []
-    for surface in find_surfaces(points):
-        straight = [*find_faces(surface)]
-        round_ones, is_left = find_arcs(surface, straight)
-        arcs += [arc for arc in round_ones if not raster.is_furniture(_behind(arc))]
-        faces += find_faces(surface.select(is_left)) if round_ones else straight
-    return faces, arcs
-
-
-def _behind(arc: Arc) -> FloatArray:
-    """A point (2,) close behind the middle of an arc."""
-    chords = arc.faces()
-    return np.asarray(chords[len(chords) // 2].middle - 0.06 * chords[len(chords) // 2].normal)
 
 
 def _close_floor(raster: Raster, walls: list[FloatArray], furniture: list[FloatArray]) -> BoolArray:

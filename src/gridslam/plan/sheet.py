@@ -1,8 +1,7 @@
-"""A sheet of paper with a plan to scale, in mm, written as SVG, PDF or PNG."""
+"""A sheet of paper with a plan to scale, in mm, written as SVG or PNG."""
 
 from __future__ import annotations
 
-import zlib
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -15,12 +14,9 @@ from PIL import Image, ImageDraw
 from gridslam.types import FloatArray
 from gridslam.viz.canvas import Colour, font
 
-_POINTS_PER_MM = 72 / 25.4
 _DASH_MM = (1.2, 0.8)
 _PNG_PX_PER_MM = 8.0
 _MOST_PNG_PX = 6000
-_LETTER_WIDTH = 0.5
-"""Of a letter on average, in sizes of the text: Helvetica's, by which PDF has no means to centre."""
 
 
 @final
@@ -41,8 +37,6 @@ class Mark:
     text : str
     upright : bool
         Whether a text is turned by 90 degrees, anticlockwise.
-    radius_mm : float
-        Of an arc, anticlockwise, of at most half a circle, of which the points are; 0 of lines.
     """
 
     layer: str
@@ -54,7 +48,6 @@ class Mark:
     closed: bool = False
     text: str = ""
     upright: bool = False
-    radius_mm: float = 0.0
 
 
 @final
@@ -114,64 +107,12 @@ def _to_svg(mark: Mark, height: float) -> str:
         )
     dash = f' stroke-dasharray="{_DASH_MM[0]} {_DASH_MM[1]}"' if mark.dashed else ""
     line = f' stroke="{_hex(mark.stroke)}" stroke-width="{mark.width_mm:.2f}"{dash}' if mark.stroke else ""
-    if mark.radius_mm:
-        (x, y), (to_x, to_y) = points[[0, -1]].tolist()
-        turn = f"A{mark.radius_mm:.2f} {mark.radius_mm:.2f} 0 0 0 {to_x:.2f} {to_y:.2f}"
-        return f'<path d="M{x:.2f} {y:.2f} {turn}" fill="none"{line}/>'
     corners = " ".join(f"{x:.2f},{y:.2f}" for x, y in points.tolist())
     return f'<{"polygon" if mark.closed else "polyline"} points="{corners}" fill="{_hex(mark.fill)}"{line}/>'
 
 
 def _hex(colour: Colour | None) -> str:
     return "none" if colour is None else "#{:02x}{:02x}{:02x}".format(*colour)
-
-
-def write_pdf(path: Path, sheet: Sheet) -> None:
-    """Write a sheet as PDF 1.4 with lines and letters that stay sharp: one page of the sheet's size.
-
-    Source: ISO 32000-1, sections 7.5 (file structure), 8.5 (paths) and 9.4 (text).
-    """
-    width, height = (side * _POINTS_PER_MM for side in sheet.size_mm)
-    scale = f"{_POINTS_PER_MM:.6f} 0 0 {_POINTS_PER_MM:.6f} 0 0 cm 1 j 1 J"
-    content = zlib.compress("\n".join([scale, *map(_to_pdf, sheet.marks)]).encode("latin-1", "replace"))
-    title = "".join(f"{ord(letter):04x}" for letter in sheet.title if ord(letter) < 0x10000)
-    objects = [
-        b"<< /Type /Catalog /Pages 2 0 R >>",
-        b"<< /Type /Pages /Kids [3 0 R] /Count 1 >>",
-        f"<< /Type /Page /Parent 2 0 R /MediaBox [0 0 {width:.3f} {height:.3f}] /Contents 4 0 R "
-        "/Resources << /Font << /F 5 0 R >> >> >>".encode(),
-        f"<< /Length {len(content)} /Filter /FlateDecode >>\nstream\n".encode() + content + b"\nendstream",
-        b"<< /Type /Font /Subtype /Type1 /BaseFont /Helvetica /Encoding /WinAnsiEncoding >>",
-        f"<< /Title <feff{title}> /Producer (gridslam) >>".encode(),
-    ]
-    out = b"%PDF-1.4\n%\xe2\xe3\xcf\xd3\n"
-    offsets = []
-    for number, body in enumerate(objects, start=1):
-        offsets.append(len(out))
-        out += f"{number} 0 obj\n".encode() + body + b"\nendobj\n"
-    table = "".join(f"{offset:010d} 00000 n \n" for offset in offsets)
-    size = len(objects) + 1
-    trailer = f"xref\n0 {size}\n0000000000 65535 f \n{table}trailer\n<< /Size {size} /Root 1 0 R /Info 6 0 R >>\n"
-    path.write_bytes(out + f"{trailer}startxref\n{len(out)}\n%%EOF\n".encode())
-
-
-def _to_pdf(mark: Mark) -> str:
-    if mark.text:
-        (x, y), size = mark.points[0].tolist(), mark.width_mm
-        along = 0.5 * _LETTER_WIDTH * size * len(mark.text)
-        turn = "0 1 -1 0" if mark.upright else "1 0 0 1"
-        x, y = (x + 0.35 * size, y - along) if mark.upright else (x - along, y - 0.35 * size)
-        text = mark.text.replace("\\", r"\\").replace("(", r"\(").replace(")", r"\)")
-        return f"{_rgb(mark.fill)} rg BT /F {size:.2f} Tf {turn} {x:.3f} {y:.3f} Tm ({text}) Tj ET"
-    steps = [f"{x:.3f} {y:.3f} {'l' if k else 'm'}" for k, (x, y) in enumerate(mark.points.tolist())]
-    dash = f"[{_DASH_MM[0]} {_DASH_MM[1]}] 0 d" if mark.dashed else "[] 0 d"
-    paint = {(True, True): "b*", (True, False): "f*", (False, True): "s" if mark.closed else "S"}
-    style = f"{_rgb(mark.fill)} rg {_rgb(mark.stroke)} RG {mark.width_mm:.3f} w {dash}"
-    return f"{style} {' '.join(steps)} {paint.get((mark.fill is not None, mark.stroke is not None), 'n')}"
-
-
-def _rgb(colour: Colour | None) -> str:
-    return " ".join(f"{part / 255:.3f}" for part in colour or (0, 0, 0))
 
 
 def write_png(path: Path, sheet: Sheet) -> None:

@@ -50,7 +50,7 @@ def start(transport: str, domain: int, tmp_path: Path) -> Iterator[Callable[...,
         log = tmp_path / f"{len(nodes)}.log"
         given = *options, "--ros-args", *QUICK, *arguments
         nodes.append(Node(domain, log, *given, transport=transport))
-        assert nodes[-1].says("paused" if "lifecycle:=true" in arguments else "waiting for "), log.read_text()
+        assert nodes[-1].says("waiting for "), log.read_text()
         return nodes[-1]
 
     yield begin

@@ -1,9 +1,6 @@
-"""Parameters, services, the lifecycle and the log, as the verbs of `ros2` ask for them."""
+"""Parameters, services and the log, as the verbs of `ros2` ask for them."""
 
 import pytest
-from lifecycle_msgs.msg import Transition, TransitionEvent
-from lifecycle_msgs.srv import ChangeState, GetAvailableStates, GetAvailableTransitions, GetState
-from nav_msgs.srv import SetMap
 from rcl_interfaces.msg import Parameter, ParameterEvent, ParameterType, ParameterValue
 from rcl_interfaces.srv import (
     DescribeParameters,
@@ -13,14 +10,13 @@ from rcl_interfaces.srv import (
     SetParameters,
     SetParametersAtomically,
 )
-from rclpy.lifecycle import LifecycleNode
 from slam_toolbox.srv import Pause, SerializePoseGraph
 from std_srvs.srv import Empty, SetBool, Trigger
 
 from gridslam.io.maps import read_map, write_map
 from gridslam.io.sessions.session_file import read_session
 from support.localization_world import flat_map
-from support.ros2_peer import Peer, Robot, last_map, nanoseconds, values
+from support.ros2_peer import Peer, Robot, last_map, nanoseconds
 from support.ros_node import until
 
 
@@ -96,11 +92,6 @@ def test_services_answer_beside_the_scans(start, domain, drive, tmp_path):
         answer = robot.ask("/gridslam/pause", SetBool, data=True)
         assert (answer.success, answer.message) == (True, "paused")
         assert robot.ask("/gridslam/pause", SetBool, data=False).message == "mapping"
-        assert robot.ask("/gridslam/localize", SetBool, data=True).message == "localizing in the map so far"
-        until(lambda: False, 0.2)
-        assert node.log.read_text().count("localizing") == 1
-        robot.drive(drive[60:80])
-        assert robot.ask("/gridslam/localize", SetBool, data=False).message
         assert robot.ask("/gridslam/reset", Empty) is not None
     finally:
         robot.close()
@@ -112,81 +103,9 @@ def test_slam_toolbox_s_services_are_there_by_their_names_and_types(start, peer,
     assert peer.ask("/slam_toolbox/serialize_map", SerializePoseGraph, filename=str(tmp_path / "none")).result == 255
 
 
-def test_a_known_map_is_given_and_replaced(start, peer, tmp_path):
+def test_a_known_map_is_given(start, peer, tmp_path):
     """As nav2's map_server gives it: latched, and stamped by the clock once that is there."""
     write_map(tmp_path / "flat.yaml", flat_map())
     start(options=("--map", str(tmp_path / "flat.yaml")))
     grid = last_map(peer)
     assert nanoseconds(grid.header.stamp) > 0
-    grid.info.origin.position.x += 1.0
-    assert peer.ask("/set_map", SetMap, map=grid).success
-    assert until(lambda: last_map(peer).info.origin.position.x == grid.info.origin.position.x)
-    grid.header.frame_id = "elsewhere"
-    assert not peer.ask("/set_map", SetMap, map=grid).success
-
-
-def test_the_lifecycle_is_that_of_rclpy_s_own_nodes(start, domain):
-    """nav2's lifecycle_manager starts it; each state in between is told."""
-    start("-p", "lifecycle:=true")
-    robot = Robot(domain)
-    robot.add(LifecycleNode("theirs", context=robot.context))
-    try:
-
-        def graph(node, service):
-            found = robot.ask(f"/{node}/{service}", GetAvailableTransitions).available_transitions
-            return {
-                (
-                    one.transition.id,
-                    one.transition.label,
-                    *((at.id, at.label) for at in (one.start_state, one.goal_state)),
-                )
-                for one in found
-            }
-
-        for service in ("get_transition_graph", "get_available_transitions"):
-            assert graph("gridslam", service) == graph("theirs", service)
-        states = [
-            [
-                (one.id, one.label)
-                for one in robot.ask(f"/{name}/get_available_states", GetAvailableStates).available_states
-            ]
-            for name in ("gridslam", "theirs")
-        ]
-        assert states[0] == states[1]
-        events = {name: robot.hear(f"/{name}/transition_event", TransitionEvent) for name in ("gridslam", "theirs")}
-        assert until(lambda: all(robot.node.count_publishers(f"/{name}/transition_event") for name in events))
-        until(lambda: False, 0.5)
-        for name in events:
-            for number in (Transition.TRANSITION_CONFIGURE, Transition.TRANSITION_ACTIVATE):
-                assert robot.ask(f"/{name}/change_state", ChangeState, transition=Transition(id=number)).success
-
-        def told(name):
-            return [(one.start_state.label, one.goal_state.label) for one in events[name]]
-
-        assert until(lambda: len(events["gridslam"]) >= 4)
-        assert until(lambda: told("gridslam") == told("theirs")), (told("gridslam"), told("theirs"))
-        assert robot.ask("/gridslam/get_state", GetState).current_state.label == "active"
-        impossible = Transition(id=Transition.TRANSITION_CONFIGURE)
-        assert not robot.ask("/gridslam/change_state", ChangeState, transition=impossible).success
-    finally:
-        robot.close()
-
-
-def test_a_managed_node_maps_while_it_is_active(start, domain, drive):
-    node = start("-p", "lifecycle:=true")
-    robot = Robot(domain)
-    try:
-        assert robot.meets()
-        robot.drive(drive[:5])
-        assert robot.tells("paused", 5)
-        for label in ("configure", "activate"):
-            assert robot.ask("/gridslam/change_state", ChangeState, transition=Transition(label=label)).success
-        robot.drive(drive[5:25])
-        assert until(lambda: len(robot.poses) >= 19)
-        assert robot.ask("/gridslam/change_state", ChangeState, transition=Transition(label="deactivate")).success
-        robot.drive(drive[25:30])
-        assert robot.tells("paused", 10), values(robot.status[-1])
-        assert robot.ask("/gridslam/change_state", ChangeState, transition=Transition(label="cleanup")).success
-        assert node.says("starting a new map: reset")
-    finally:
-        robot.close()

@@ -1,25 +1,16 @@
-"""Where AMCL was before: its topics, its services, maps that come as messages, and a managed node."""
-
-import struct
-from types import SimpleNamespace
+"""Where AMCL was before: its topics and its services."""
 
 import numpy as np
 import pytest
 
-from gridslam.errors import ArgumentError, ConfigurationError
+from gridslam.errors import ConfigurationError
 from gridslam.io.bags.encoder import MessageEncoder
-from gridslam.io.bags.ros_messages import MessageError
-from gridslam.io.maps import grid_of_percent, read_map, write_map
-from gridslam.ros.node.grid_input import grid_of
+from gridslam.io.maps import write_map
 from gridslam.ros.node.messages import CloudMessage
-from gridslam.ros.node.outputs import EncodedOutputs, grid_values
-from gridslam.ros.node.parameters import NodeSettings, node_parameters
-from gridslam.ros.node.rendering import make_grid_message
+from gridslam.ros.node.outputs import EncodedOutputs
+from gridslam.ros.node.parameters import node_parameters
 from gridslam.ros.node.ros_node import RosNode
 from gridslam.ros.node.transport import ALL_TOPICS
-from gridslam.ros.ros2.arguments import parse_ros_arguments
-from gridslam.ros.ros2.lifecycle_services import LifecycleServices
-from gridslam.ros.rtps.qos import Qos
 from support.localization_world import drive as flat_drive
 from support.localization_world import flat_map
 from support.ros_node import LocalTransport, mounting, play, until
@@ -38,11 +29,6 @@ def map_file(tmp_path_factory):
     folder = tmp_path_factory.mktemp("map")
     write_map(folder / "flat.yaml", flat_map())
     return folder / "flat.yaml"
-
-
-def grid_message(frame="map"):
-    message = make_grid_message(flat_map(), NodeSettings(), 7)
-    return message._replace(frame=frame)
 
 
 def started(given, transport=None):
@@ -108,161 +94,7 @@ def test_a_robot_at_rest_is_updated_when_that_is_requested(map_file, log):
     node.close()
 
 
-def test_a_map_may_come_by_a_topic(log):
-    transport = LocalTransport()
-    node = started({"use_map_topic": True, **placed(log)}, transport)
-    core, outputs = node.core, transport.outputs
-    assert "map" not in transport.published
-    assert "waiting for a map on /map" in outputs.warnings()
-    assert core.diagnostics().summary == "waiting for a map"
-    play(core, outputs, log.measurements[:2], shift_ns=SHIFT_NS)
-    with pytest.raises(ArgumentError, match="the frame map"):
-        core.set_map(grid_message("world"))
-    core.set_map(grid_message())
-    assert until(lambda: "localizing in a map of" in outputs.warnings())
-    assert until(lambda: not core._queue.waits_for_map)
-    play(core, outputs, log.measurements[2:40], shift_ns=SHIFT_NS)
-    assert until(lambda: len(outputs.poses) == 38)
-    assert np.hypot(*(outputs.poses[-1].pose - log.truth.poses[39])[:2]) < 0.5
-    core.set_map(grid_message())  # the same once more, as a map_server may send it
-    other = grid_message()
-    core.set_map(other._replace(cells=other.cells[:-1]), only_first=True)
-    play(core, outputs, log.measurements[40:42], shift_ns=SHIFT_NS)
-    assert until(lambda: len(outputs.poses) == 40)
-    assert outputs.warnings().count("localizing in a map of") == 1
-    assert outputs.maps == []
-    node.close()
-
-
-def test_a_map_may_be_set_by_a_service_with_a_pose(map_file, log):
-    transport = LocalTransport()
-    node = started({"map_file": str(map_file)}, transport)
-    encoder = ENCODERS["ROS 2"]
-    values = grid_values(encoder, "map", grid_message())
-    grid = encoder.decode("nav_msgs/OccupancyGrid", encoder.encode("nav_msgs/OccupancyGrid", *values))
-    x, y, theta = log.truth.poses[0].tolist()
-    turn = (0.0, 0.0, np.sin(theta / 2), np.cos(theta / 2))
-    covariance = np.diag([0.04, 0.04, 0, 0, 0, 0.03]).ravel()
-    pose = encoder.decode(
-        "geometry_msgs/PoseWithCovarianceStamped",
-        encoder.encode("geometry_msgs/PoseWithCovarianceStamped", ((0, 0), "map"), (((x, y, 0.0), turn), covariance)),
-    )
-    grid.data = np.where(grid.data == 0, 1, grid.data)  # another map
-    assert transport.services["set_map"](SimpleNamespace(map=grid, initial_pose=pose)) == (True,)
-    assert until(lambda: "localizing in a map of" in transport.outputs.warnings())
-    play(node.core, transport.outputs, log.measurements[:20], shift_ns=SHIFT_NS)
-    assert until(lambda: len(transport.outputs.poses) == 20)
-    assert np.hypot(*(transport.outputs.poses[-1].pose - log.truth.poses[19])[:2]) < 0.3
-    again = SimpleNamespace(map=grid, initial_pose=pose)  # the same map: only the pose is set
-    assert transport.services["set_map"](again) == (True,)
-    assert until(lambda: node.core._session._next_state is not None)
-    assert np.hypot(*(node.core._session._next_state.poses.mean(axis=0) - log.truth.poses[0])[:2]) < 0.1
-    assert transport.outputs.warnings().count("localizing in a map of") == 1
-    grid.header.frame_id = "elsewhere"
-    assert transport.services["set_map"](SimpleNamespace(map=grid, initial_pose=pose)) == (False,)
-    node.close()
-
-
-def test_the_pose_is_stored_where_it_is_found_again(map_file, log):
-    transport = LocalTransport()
-    node = started({"map_file": str(map_file), "save_pose_rate": 50.0, **placed(log)}, transport)
-    play(node.core, transport.outputs, log.measurements[:20], shift_ns=SHIFT_NS)
-    assert until(lambda: len(transport.outputs.poses) == 20 and hasattr(transport, "saved"))
-    last = transport.outputs.poses[-1].pose
-    assert until(lambda: transport.saved["initial_pose_x"] == last[0])
-    again = node_parameters({"mode": "localization", "map_file": str(map_file), **transport.saved}, "default")
-    np.testing.assert_array_equal(again.configuration.initial_pose[0], last)
-    node.close()
-
-
 def test_without_tf_broadcast_no_transform_is_published():
     assert node_parameters({"tf_broadcast": False}, "default").settings.transform_publish_period_s == 0.0
     with pytest.raises(ConfigurationError, match="tf_broadcast: expected true or false, got 0"):
         node_parameters({"tf_broadcast": 0}, "default")
-    with pytest.raises(ConfigurationError, match="save_pose_rate: expected a number"):
-        node_parameters({"save_pose_rate": True}, "default")
-
-
-@pytest.mark.parametrize("ros", ENCODERS)
-def test_maps_are_decoded_from_their_bytes(ros, map_file):
-    encoder = ENCODERS[ros]
-    sent = grid_message("/map")
-    data = encoder.encode("nav_msgs/OccupancyGrid", *grid_values(encoder, "map", sent))
-    found = grid_of(encoder.decode("nav_msgs/OccupancyGrid", data))
-    assert (found.frame, found.origin) == ("map", sent.origin)
-    np.testing.assert_array_equal(found.cells, sent.cells)
-    grid, of_file = grid_of_percent(found.cells, found.resolution_m, found.origin), read_map(map_file)
-    np.testing.assert_array_equal(grid.known, of_file.known)
-    np.testing.assert_allclose(grid.log_odds[grid.known], of_file.log_odds[of_file.known], atol=1e-5)
-    for wrong in (data[:60], data[:-5]):
-        with pytest.raises(MessageError, match=r"unpack_from|buffer|Invalid sequence length"):
-            encoder.decode("nav_msgs/OccupancyGrid", wrong)
-
-
-@pytest.mark.parametrize(
-    ("change", "says"),
-    [
-        ({"cells": np.full((2, 2), 101, np.int8)}, "not between -1 and 100"),
-        ({"resolution_m": 0.0}, "of 0 m"),
-        ({"cells": np.zeros((0, 0), np.int8)}, "0 x 0"),
-        ({"origin": (np.nan, 0.0)}, "origin"),
-    ],
-)
-def test_what_is_no_map_is_named(change, says):
-    encoder = ENCODERS["ROS 2"]
-    message = grid_message()._replace(**change)
-    data = encoder.encode("nav_msgs/OccupancyGrid", *grid_values(encoder, "map", message))
-    with pytest.raises(MessageError, match=says):
-        grid_of(encoder.decode("nav_msgs/OccupancyGrid", data))
-
-
-FILE = """
-gridslam:
-  ros__parameters:
-    qos_overrides:
-      /scan: {subscription: {reliability: reliable, depth: 3}}
-      /map: {publisher: {durability: volatile, history: keep_last}}
-"""
-
-
-def test_quality_of_service_is_overridden_as_in_ros(tmp_path):
-    (tmp_path / "qos.yaml").write_text(FILE)
-    given = ["--params-file", str(tmp_path / "qos.yaml"), "-p", "qos_overrides./tf.publisher.reliability:=best_effort"]
-    ros = parse_ros_arguments(["--ros-args", *given])
-    assert ros.parameters == {}
-    assert ros.override_qos("/scan", "subscription", Qos(reliable=False)) == Qos(reliable=True, depth=3)
-    assert ros.override_qos("/scan", "publisher", Qos()) == Qos()
-    assert ros.override_qos("/map", "publisher", Qos(latched=True, depth=1)) == Qos(depth=1)
-    assert ros.override_qos("/tf", "publisher", Qos()).reliable is False
-    wrong = parse_ros_arguments(["-p", "qos_overrides./tf.publisher.reliability:=perhaps"])
-    with pytest.raises(ConfigurationError, match=r"qos_overrides\./tf\.publisher\.reliability: expected reliable or"):
-        wrong.override_qos("/tf", "publisher", Qos())
-
-
-def test_a_managed_node_changes_its_state_as_ros_s():
-    calls, events = [], []
-    lifecycle = LifecycleServices(lambda active: calls.append(active), lambda: calls.append("cleaned"), events.append)
-    services = lifecycle.services()
-
-    def change(number=0, label=""):
-        request = SimpleNamespace(transition=SimpleNamespace(id=number, label=label))
-        return services["change_state"][1](request)[0]
-
-    assert services["get_state"][1](None) == ((1, "unconfigured"),)
-    assert not change(3)
-    assert change(1)
-    assert change(label="activate")
-    assert [one[0][1] for one in services["get_available_transitions"][1](None)[0]] == ["deactivate", "shutdown"]
-    assert change(4)
-    assert change(2)
-    assert change(5)
-    assert services["get_state"][1](None) == ((4, "finalized"),)
-    assert calls == [False, True, False, "cleaned", False]
-    assert events[2:4] == [
-        ((3, "activate"), (2, "inactive"), (13, "activating")),
-        ((30, "transition_success"), (13, "activating"), (3, "active")),
-    ]
-    assert len(services["get_available_states"][1](None)[0]) == 11
-    assert len(services["get_transition_graph"][1](None)[0]) == 25
-    encoder = ENCODERS["ROS 2"]
-    assert encoder.encode("lifecycle_msgs/TransitionEvent", 5, *events[1])[4:12] == struct.pack("<Q", 5)

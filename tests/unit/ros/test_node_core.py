@@ -1,7 +1,6 @@
 """The node without transport: what it says of a drive, its services, and what it survives."""
 
 import threading
-import time
 
 import numpy as np
 import pytest
@@ -11,11 +10,9 @@ from gridslam.config import Configuration, preset
 from gridslam.errors import ConfigurationError, GridslamError
 from gridslam.geometry.se2 import compose
 from gridslam.io.maps import read_map
-from gridslam.localization import KnownMap, MonteCarloConfiguration
 from gridslam.ros import NodeCore, NodeSettings
-from gridslam.ros.node import rendering
 from gridslam.ros.node.messages import Level
-from gridslam.ros.node.rendering import make_grid_message, map_cells
+from gridslam.ros.node.rendering import map_cells
 from gridslam.sim import LidarConfig, OdometryNoise, RobotConfig, make_world, simulate
 from support.interrupted import carry
 from support.ros_node import ODOM, RecordedOutputs, mounting, odometry_message, play, scan_message, until
@@ -88,41 +85,6 @@ def test_the_published_map_is_the_one_that_is_written(drive, tmp_path):
     written = read_map(tmp_path / "out" / "map.yaml")
     np.testing.assert_array_equal(map_cells(written, "trinary"), outputs.maps[-1].cells)
     np.testing.assert_allclose(outputs.maps[-1].origin, written.origin)
-    core.close()
-
-
-def test_no_map_of_the_mapping_session_comes_after_the_one_to_localize_in(drive, monkeypatch):
-    outputs = RecordedOutputs()
-    published = []
-    outputs.map = published.append
-    core = node(outputs)
-    drive_all(core, outputs, drive[:30])
-    known = KnownMap(core.copy_session().beginning.run.state.maps.occupancy(0))
-    begun = threading.Event()
-
-    def render_late(*arguments):
-        begun.set()
-        time.sleep(0.3)
-        return make_grid_message(*arguments)
-
-    monkeypatch.setattr(rendering, "make_grid_message", render_late)
-    drive_all(core, outputs, drive[30:60])
-    assert begun.wait(10)
-    drive_all(core, outputs, drive[60:65])
-
-    def switch():
-        core.localize_in(known, MonteCarloConfiguration(), None)
-        core._publish_map()  # one that was due when the session ended
-
-    core.ask(switch)
-    assert until(lambda: core._session is not core.mapped_session)
-    core._renderer.finish()
-    assert core.localizes
-    assert published[-1] is core.dynamic_map()
-    count = len(published)
-    core.ask(core.resume_mapping)
-    drive_all(core, outputs, drive[65:70])
-    assert until(lambda: len(published) > count)
     core.close()
 
 

@@ -31,7 +31,7 @@ def test_every_parameter_does_something_or_says_why_not():
     for name in GMAPPING_DEFAULTS:
         assert sum(name in table for table in (_FILTER, _DERIVED, _NODE, _UNSUPPORTED)) == 1, name
     others = {"preset", "config", "set", "record", "out", "mode", "map_file", "scan_topic", "paused_new_measurements"}
-    others |= {"first_map_only", "tf_broadcast", "map_topic", "lifecycle", "use_map_topic", "save_pose_rate"}
+    others |= {"tf_broadcast"}
     assert {*_NODE, *others, *SESSION_DEFAULTS} >= set(NODE_DEFAULTS)
 
 

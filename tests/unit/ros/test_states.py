@@ -42,7 +42,7 @@ class Live:
             configuration = node_parameters({"particles": 3}, "default").configuration
             self.drive = make_drive()
         else:
-            configuration = Localization(None if task == "wait" else KnownMap(flat_map()), MCL)
+            configuration = Localization(KnownMap(flat_map()), MCL)
             self.drive = list(flat_drive(3).measurements)
         settings = NodeSettings(queue_s=60.0, transform_wait_s=0.05)
         self.core = NodeCore(settings, configuration, self.outputs, record=tmp_path / "scans.csv")
@@ -185,7 +185,6 @@ FAULTS = {
     "another localization runs": Fault(Live.publish_map_to_odom, "running", "mapping", "transform of another node"),
     "paused": Fault(lambda live: (live.play(), live.core.pause(True)), "paused", "paused"),
     "the filter fails": Fault(Live.break_filter, "failed", "the filter failed: SystemError: injected", level="error"),
-    "a map is needed": Fault(lambda live: None, "waiting", "waiting for a map", task="wait"),
     "the pose is unknown": Fault(
         lambda live: live.play(2), "looking", "looking for the robot in the whole map", task="localize"
     ),

@@ -2,30 +2,12 @@
 
 from __future__ import annotations
 
-import math
 from typing import Any
 
 import click
 
 from gridslam.cli.option_types import PATH, Number
 from gridslam.cli.options import json_option, out_option
-
-
-def _read_origin(ctx: click.Context, param: click.Parameter, text: str | None) -> tuple[float, float, float] | None:
-    """Read latitude, longitude and, if it is there, bearing; 90, east, if not."""
-    if text is None:
-        return None
-    try:
-        latitude, longitude, bearing = (
-            float(number) for number in (text if text.count(",") > 1 else f"{text},90").split(",")
-        )
-    except ValueError:
-        latitude = longitude = bearing = math.nan
-    if not (abs(latitude) <= 85 and abs(longitude) <= 180 and abs(bearing) <= 360):
-        problem = "expected LAT,LON[,BEARING] in degrees, at most 85, 180 and 360 from 0"
-        raise click.BadParameter(f"{problem}, got {text!r}", ctx, param)
-    return latitude, longitude, bearing
-
 
 _floor_option = click.option(
     "--floor", metavar="NAME", help="Of a session: the map that is taken.  [default: the newest drive's]"
@@ -42,15 +24,9 @@ _floor_option = click.option(
     default=100,
     show_default=True,
     metavar="N",
-    help="Scale 1:N of the SVG and the PDF.",
+    help="Scale 1:N of the SVG.",
 )
 @click.option("--straighten", is_flag=True, help="Turn the plan so that most walls run along its axes.")
-@click.option(
-    "--origin",
-    metavar="LAT,LON[,BEARING]",
-    callback=_read_origin,
-    help="Where the map's origin is, degrees (WGS84), and the bearing of its x axis (90: east): GeoJSON in degrees.",
-)
 @json_option
 def plan_command(**options: Any) -> None:  # noqa: ANN401
     """Make a floor plan of SOURCE: walls, doors, rooms and their measures (extra: map).
@@ -58,7 +34,7 @@ def plan_command(**options: Any) -> None:  # noqa: ANN401
     SOURCE is a map's YAML file, its edits (see `gridslam mask`), the folder OUT of `gridslam map`, or a session. Where
     there are scans the walls are fitted to their end points, and otherwise to the map's cells.
 
-    Writes to OUT: plan.svg and plan.pdf (to scale), plan.png, plan.dxf (CAD), plan.geojson and plan.json.
+    Writes to OUT: plan.svg (to scale), plan.png, plan.dxf (CAD), plan.geojson and plan.json.
     """
     from gridslam.cli.plan import plan_to_folder
 
@@ -105,12 +81,6 @@ def changes_command(**options: Any) -> None:  # noqa: ANN401
     metavar="PERCENT",
     help="Cost beside preferred lanes, in percent of a lethal one.",
 )
-@click.option(
-    "--origin",
-    metavar="LAT,LON[,BEARING]",
-    callback=_read_origin,
-    help="Where the map's origin is, as for `plan`: EDITS in degrees are read, and written, too.",
-)
 @json_option
 def mask_command(**options: Any) -> None:  # noqa: ANN401
     """Apply EDITS to a map: the edited map, and masks of nav2's keep-out and speed filters.
@@ -119,8 +89,7 @@ def mask_command(**options: Any) -> None:  # noqa: ANN401
     map's frame: walls, erased, rooms, keep_out, no_go, speed and lanes, as `gridslam view OUT --edit` writes it.
 
     Writes to OUT: map.yaml and map.pgm (edited), keepout_mask.yaml and speed_mask.yaml with their images,
-    nav2_filters.yaml (parameters to paste) and edits.geojson (as they lie on this map); with --origin
-    edits_wgs84.geojson.
+    nav2_filters.yaml (parameters to paste) and edits.geojson (as they lie on this map).
     """
     from gridslam.cli.mask import mask_to_folder
 
@@ -146,7 +115,7 @@ def _read_pairs(ctx: click.Context, param: click.Parameter, texts: tuple[str, ..
 
 @click.command("align")
 @click.argument("source", metavar="MAP", type=PATH)
-@click.argument("plan", required=False, type=PATH)
+@click.argument("plan", type=PATH)
 @_floor_option
 @out_option
 @click.option(
@@ -155,25 +124,22 @@ def _read_pairs(ctx: click.Context, param: click.Parameter, texts: tuple[str, ..
     multiple=True,
     callback=_read_pairs,
     metavar="X,Y=U,V",
-    help="A place of the map, m, and the same in PLAN, or its latitude and longitude; two to six times.",
+    help="A place of the map, m, and the same in PLAN; two to six times.",
 )
 @click.option("--unit", "unit_m", type=Number(1e-6, 1e4), metavar="METRES", help="Length of PLAN's pixel or unit.")
 @click.option("--by-pairs", is_flag=True, help="Align by pairs alone; do not match walls.")
 @json_option
-def align_command(plan: Any, pairs: Any, by_pairs: bool, **options: Any) -> None:  # noqa: ANN401
-    """Align MAP with an architect's plan or another map, or, without PLAN, with the world.
+def align_command(pairs: Any, by_pairs: bool, **options: Any) -> None:  # noqa: ANN401
+    """Align MAP with an architect's plan or another map.
 
-    MAP is a map's YAML file, the folder OUT of `gridslam map`, or a session; PLAN an image (dark walls), an SVG, a DXF,
-    or another map. Places in images and SVG are counted from the left and the top. Walls are matched, from the place of
+    MAP is a map's YAML file, the folder OUT of `gridslam map`, or a session; PLAN an image (dark walls), a DXF,
+    or another map. Places in images are counted from the left and the top. Walls are matched, from the place of
     the pairs or without a first guess.
 
-    Writes to OUT: align.json (with residuals), and with a plan map.yaml (in the plan's frame, with a rotated
-    origin) and align.png; without one map.tif (GeoTIFF in degrees of WGS84).
+    Writes to OUT: align.json (with residuals), map.yaml (in the plan's frame, with a rotated origin) and align.png.
     """
     from gridslam.cli.align import align_to_folder
 
-    if (plan is None or by_pairs) and not len(pairs):
-        raise click.UsageError("expected a PLAN whose walls are matched, or two to six --pair")
-    if plan is None and not ((abs(pairs[:, 2]) <= 85) & (abs(pairs[:, 3]) <= 180)).all():
-        raise click.BadParameter("expected X,Y=LAT,LON in degrees, at most 85 and 180 from 0", param_hint="'--pair'")
-    align_to_folder(plan=plan, pairs=pairs, by_pairs=by_pairs, **options)
+    if by_pairs and not len(pairs):
+        raise click.UsageError("expected two to six --pair with --by-pairs")
+    align_to_folder(pairs=pairs, by_pairs=by_pairs, **options)

@@ -7,7 +7,6 @@ from collections import deque
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import Future, TimeoutError
 from contextlib import contextmanager, suppress
-from dataclasses import replace
 from functools import partial
 from itertools import chain
 from pathlib import Path
@@ -20,9 +19,7 @@ from gridslam.config import Configuration
 from gridslam.doctor import BreakCheck, EarlyCheck, Finding
 from gridslam.doctor.view_breaks import DriveNumbering
 from gridslam.errors import ArgumentError, ConfigurationError, GridslamError, OutputError
-from gridslam.io.maps import grid_of_percent
 from gridslam.io.measurement import Measurement
-from gridslam.localization import KnownMap, MonteCarloConfiguration
 from gridslam.messages import Level, Messages
 from gridslam.particles import sample_gaussian
 from gridslam.pipeline import FailedStep, Observer, describe_error, isolate
@@ -34,7 +31,7 @@ from gridslam.ros.node.measurement_queue import MeasurementQueue, SessionEnd
 from gridslam.ros.node.messages import Diagnostics, GridMessage, Outputs, ScanMessage, StampedTransform
 from gridslam.ros.node.parameters import NodeSettings
 from gridslam.ros.node.rendering import MapRenderer, make_grid_message
-from gridslam.ros.node.session import InitialPose, Localization, LocalizationSession, WaitingSession
+from gridslam.ros.node.session import InitialPose, Localization, LocalizationSession
 from gridslam.ros.node.state_publisher import StatePublisher
 from gridslam.tracking.tracker import OdometryTracker
 
@@ -46,8 +43,6 @@ _FOUND = (SessionEnd.JUMP, SessionEnd.CARRIED)
 """Ends that nobody asked for."""
 _SAVED = (*_FOUND, SessionEnd.SESSION)
 """Ends at which the session is saved."""
-_OTHERS = (SessionEnd.MAP, SessionEnd.SESSION, SessionEnd.SWITCH)
-"""Ends after which another session begins even if this one has no scan yet."""
 
 _Answer = TypeVar("_Answer")
 
@@ -127,9 +122,6 @@ class NodeCore:
         self._known_map: GridMessage | None = None
         self._renderer: MapRenderer | None = None
         self._publisher = StatePublisher(settings, outputs, None, self._queue, self._warn)
-        self._suspended: Session | None = None  # while the robot is localized in its map
-        self._has_switched = False
-        self._began_localizing = isinstance(configuration, Localization)
         self._continued = None if files is None else files.continued
         self._floor = "" if files is None else files.floor
         self._goes_on = None if files is None else files.save or (files.continued and files.continued.path)
@@ -178,7 +170,7 @@ class NodeCore:
 
     def start(self) -> None:
         """Start the node's threads and accept messages."""
-        if isinstance(self.configuration, Localization) and self.configuration.known is not None:
+        if isinstance(self.configuration, Localization):
             self._show_known_map(make_grid_message(self.configuration.known.grid, self.settings, 0))
         self._threads += [
             threading.Thread(target=self._run_timer, args=(period_s, callback), name=f"gridslam-{name}", daemon=True)
@@ -247,60 +239,11 @@ class NodeCore:
             raise ArgumentError("pose", "a node that localizes", "one that maps")
         if pose is not None:  # validates it
             sample_gaussian(1, *pose, np.random.default_rng(0))
-            if self.configuration.known is not None:
-                self.configuration.known.require(pose[0])
+            self.configuration.known.require(pose[0])
 
         def apply() -> None:
             if isinstance(self._session, LocalizationSession):
                 self._session.set_pose(pose)
-            else:
-                self.configuration = replace(self._localization, initial_pose=pose)
-
-        self._queue.post(apply)
-
-    def set_map(self, message: GridMessage, pose: InitialPose = None, *, only_first: bool = False) -> None:
-        """Localize in another map from the next scan on; the call does not wait for that.
-
-        Parameters
-        ----------
-        message : GridMessage
-            The map. The one that is known already changes nothing.
-        pose : (pose (3,), covariance (3, 3)) or None
-            Of the robot; None: the initial pose if there is no map yet, else the pose is unknown.
-        only_first : bool
-            Whether a map that is known is kept.
-
-        Raises
-        ------
-        ArgumentError
-            The node maps, or the frame of the map is another one.
-        """
-        if not self.localizes:
-            raise ArgumentError("map", "a node that localizes", "one that maps")
-        if message.frame != self.settings.map_frame:
-            raise ArgumentError("map", f"the frame {self.settings.map_frame}", repr(message.frame))
-
-        def apply() -> None:
-            before = self._localization
-            latest = self._known_map
-            if before.known is not None and latest is not None:
-                same = latest.origin == message.origin and np.array_equal(latest.cells, message.cells)
-                if same and pose is not None and isinstance(self._session, LocalizationSession):
-                    self._session.set_pose(pose)
-                if only_first or same:
-                    return
-            configuration = before.configuration
-            grid = grid_of_percent(message.cells, message.resolution_m, message.origin)
-            known = KnownMap(grid, reach_m=configuration.reach_m, threads=self.settings.threads)
-            start = before.initial_pose if before.known is None and pose is None else pose
-            if start is not None:
-                known.require(start[0])
-            self._show_known_map(message)
-            self.configuration = Localization(known, configuration, start)
-            self.messages.report(
-                Level.OK, f"localizing in a map of {message.cells.shape[1]} x {message.cells.shape[0]} cells"
-            )
-            self._queue.end_session(SessionEnd.MAP)
 
         self._queue.post(apply)
 
@@ -317,16 +260,6 @@ class NodeCore:
                 self._session.update_once()
 
         self._queue.post(apply)
-
-    @property
-    def latest_pose(self) -> InitialPose:
-        """Pose (3,) and covariance (3, 3) at the last scan; None before the first one, and while the robot is lost."""
-        return self._publisher.latest_pose
-
-    @property
-    def _localization(self) -> Localization:
-        assert isinstance(self.configuration, Localization)
-        return self.configuration
 
     def pause(self, paused: bool) -> None:
         """Drop incoming scans, or accept them again."""
@@ -382,38 +315,11 @@ class NodeCore:
         self.configuration = continued.saved.configuration
         self._queue.end_session(SessionEnd.SESSION)
 
-    def localize_in(self, known: KnownMap, configuration: MonteCarloConfiguration, pose: InitialPose) -> None:
-        """Localize in a map from the next scan on; in the filter's thread. The mapping session waits."""
-        if pose is not None:
-            known.require(pose[0])
-        if isinstance(self._session, Session) and self._session.state is not None:
-            self._suspended = self._session
-        self.configuration = Localization(known, configuration, pose)
-        if self._renderer is not None:
-            self._renderer.finish()
-        self._show_known_map(make_grid_message(known.grid, self.settings, 0))
-        self._queue.end_session(SessionEnd.SWITCH)
-
-    def resume_mapping(self) -> None:
-        """Go on with the mapping session that waits, from where the robot is localized; in the filter's thread.
-
-        Raises ArgumentError if none waits, or the robot is lost.
-        """
-        session = self._suspended
-        if session is None or not self.localizes:
-            raise ArgumentError("localize", "a mapping session that waits", "none")
-        if self._publisher.is_lost:
-            raise ArgumentError("localize", "a robot that knows where it is", "one that is lost")
-        is_located = self._publisher.latest_pose is not None  # otherwise there was no scan since it waits
-        session.map_from_odom = self._publisher.map_from_odom if is_located else None
-        self.configuration = session.configuration
-        self._queue.end_session(SessionEnd.SWITCH)
-
     @property
     def mapped_session(self) -> Session | None:
-        """The mapping session, at work or waiting; None if nothing is mapped yet. For the filter's thread."""
-        mapped = self._session if isinstance(self._session, Session) else self._suspended
-        return None if mapped is None or mapped.state is None else mapped
+        """The mapping session; None if nothing is mapped yet. For the filter's thread."""
+        session = self._session
+        return session if isinstance(session, Session) and session.state is not None else None
 
     def _copy_mapped(self, *, is_last: bool = False) -> SessionCopy:
         mapped = self.mapped_session
@@ -424,8 +330,7 @@ class NodeCore:
                 else "there was no scan yet"
             )
             raise GridslamError(f"nothing is mapped: {why}")
-        record = None if self._has_switched else self._whole_record()
-        return mapped.copy(record, is_last=is_last, messages=self.messages.to_list())
+        return mapped.copy(self._whole_record(), is_last=is_last, messages=self.messages.to_list())
 
     def _run_filter(self) -> None:
         """Run the sessions one after the other."""
@@ -444,11 +349,7 @@ class NodeCore:
         end = self._session_end
         is_begun = self._session.state is not None
         forgets = end is SessionEnd.RESET and isinstance(self._session, Session) and self._session.continued is not None
-        if not is_begun and end not in _OTHERS and not forgets:
-            return
-        if end is SessionEnd.SWITCH:
-            self._has_switched = True
-            self._begin_session()
+        if not is_begun and end is not SessionEnd.SESSION and not forgets:
             return
         is_carried = end is SessionEnd.CARRIED
         if is_begun:
@@ -457,7 +358,6 @@ class NodeCore:
             self._hand_over_session()
             if self._renderer is not None:
                 self._renderer.reset()
-        self._suspended = None
         self._begin_session()
         if is_begun and not is_carried:  # what is recorded is split by `gridslam map` where the node has
             self._close_record()
@@ -467,24 +367,21 @@ class NodeCore:
     def _run_session(self) -> bool:
         """Map until the session ends; return whether another one follows."""
         source = self._measurements()
-        is_viewed = self.localizes == self._began_localizing  # viewers know one kind of filter
-        for wrap in self._wrappers if is_viewed else ():
+        for wrap in self._wrappers:
             source = wrap(source)
         first = next(source, None)
         if first is not None:
-            viewers = self._observers if is_viewed else ()
             observers = [
                 isolate(self._publisher, partial(self._warn, "publishing failed")),
-                *(isolate(observer, partial(self._warn, "viewer failed")) for observer in viewers),
+                *(isolate(observer, partial(self._warn, "viewer failed")) for observer in self._observers),
             ]
             self._session.run(chain([first], source), observers, self._report_failure)
         if self._session_end is SessionEnd.CLOSED:
             return False
-        if self._session_end is not SessionEnd.SWITCH:  # which is reported by whoever serves the request
-            end, level = self._session_end, Level.OK  # which was asked for
-            if end in _FOUND:
-                level = Level.ERROR if end is SessionEnd.JUMP and not self.localizes else Level.WARN
-            self.messages.report(level, f"{self._session.restart_message}: {end.value}")
+        end, level = self._session_end, Level.OK  # which was asked for
+        if end in _FOUND:
+            level = Level.ERROR if end is SessionEnd.JUMP and not self.localizes else Level.WARN
+        self.messages.report(level, f"{self._session.restart_message}: {end.value}")
         return True
 
     def _go_on_elsewhere(self) -> None:
@@ -616,20 +513,15 @@ class NodeCore:
             self._breaks = BreakCheck()
             self._numbering = DriveNumbering[AcceptedScan](self._warn_of)
             self._drive = 0
-        self._session: Session | LocalizationSession | WaitingSession
+        self._session: Session | LocalizationSession
         if isinstance(self.configuration, Localization):
-            waits = self.configuration.known is None
-            self._queue.waits_for_map = waits
-            self._session = WaitingSession() if waits else LocalizationSession(self.configuration, self.settings.seed)
+            self._session = LocalizationSession(self.configuration, self.settings.seed)
             return
         self._use_renderer(self.configuration)
-        if self._session_end is SessionEnd.SWITCH and self._suspended is not None:
-            self._session, self._suspended = self._suspended, None
-        else:
-            seed = self.settings.seed if self._continued is None else self._continued.saved.seed
-            log = self.messages.report
-            self._session = Session(self.configuration, seed, self.settings.threads, self._continued, log, self._floor)
-            self._continued = None  # a later one begins with nothing
+        seed = self.settings.seed if self._continued is None else self._continued.saved.seed
+        log = self.messages.report
+        self._session = Session(self.configuration, seed, self.settings.threads, self._continued, log, self._floor)
+        self._continued = None  # a later one begins with nothing
 
     def _use_renderer(self, configuration: Configuration) -> None:
         """Render maps of this configuration."""

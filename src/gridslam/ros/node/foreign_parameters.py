@@ -47,7 +47,7 @@ _IGNORED: Final[Mapping[str, str]] = {
     "position_covariance_scale|yaw_covariance_scale": "the covariance is that of the particles",
     "map_file_name|map_start_pose|map_start_at_dock": _NO_GRAPH,
     "lifelong_[a-z_]+": "old key scans are never removed",
-    "use_lifecycle_manager|bond_timeout": "the parameter lifecycle makes it a managed node",
+    "use_lifecycle_manager|bond_timeout": "the node is not managed: it maps from its start",
     "map_name": "remap the topic map",
     "laser_frame": "the scan's header names it",
     "publish_occupancy_map|online|sychronous|synchronous": "that is how the node runs anyway",

@@ -15,12 +15,11 @@ from typing import Any, Final, final
 
 import numpy as np
 
-from gridslam.api.beginning import Beginning, restart_at_pose
+from gridslam.api.beginning import Beginning
 from gridslam.api.mapping import MapResult, finish_mapping
 from gridslam.config import Configuration, build
 from gridslam.doctor.repair import Repair
 from gridslam.errors import GridslamError, OutputError
-from gridslam.geometry.se2 import compose
 from gridslam.io.log_statistics import LogStatistics, Mounting
 from gridslam.io.measurement import Measurement
 from gridslam.io.sessions.drives import DrivenLog
@@ -33,7 +32,7 @@ from gridslam.ros.node.messages import Level
 from gridslam.ros.node.session import FailureCallback
 from gridslam.slam.grid_fastslam.grid_fastslam import GridFastSlam
 from gridslam.slam.grid_fastslam.state import GridFastSlamState
-from gridslam.types import FloatArray, StepReport
+from gridslam.types import StepReport
 
 _PRELOADED: Final = ("scipy.sparse", "qdldl", "gridslam.viz")
 """Modules that filter and `save` import on first use; imported early so that a moving robot does not wait."""
@@ -62,8 +61,6 @@ class Session:
         After the last scan; None before the first one.
     found_after_m : float or None, m
         What the robot had driven in this session when it was found in the map that it goes on from; None before.
-    map_from_odom : (3,) float64 or None
-        Where the odometry's frame is in the map, if the robot was localized while the session waited: it goes on there.
     configuration : Configuration
         As given.
     """
@@ -85,7 +82,6 @@ class Session:
         self.continued = continued
         self.found_after_m: float | None = None
         self.configuration = configuration
-        self.map_from_odom: FloatArray | None = None
         self._seed = seed
         self._threads = threads
         self._report = log
@@ -109,10 +105,7 @@ class Session:
         """Run the filter on all measurements of a source; scans at which it fails are skipped."""
         slam = build(self.configuration, self._threads)
         begins = next(source)
-        if self.state is None:
-            self._begin(begins, slam)
-        else:
-            self._resume(begins, slam)
+        self._begin(begins, slam)
         run_so_far = self._begun.run
         first, *others = observers
         every: list[Observer] = [first, self._attach, run_so_far.trajectory, run_so_far.statistics, self._note, *others]
@@ -171,16 +164,6 @@ class Session:
             return None
         begun = self._begun if earlier is None else earlier.add_to(self._begun)
         return _make_session(self.configuration, self._seed, begun, self.state, self._log, None)
-
-    def _resume(self, first: Measurement, slam: GridFastSlam) -> None:
-        """Go on after the session has waited while the robot was localized in its map."""
-        state = self.state
-        assert state is not None
-        if self.map_from_odom is not None:
-            odometry = first.odometry
-            pose = self.map_from_odom if odometry is None else compose(self.map_from_odom, odometry.pose)
-            restart_at_pose(state, slam, first, pose)
-        self._begun = replace(self._begun, run=replace(self._begun.run, state=state))
 
     def _begin(self, first: Measurement, slam: GridFastSlam) -> None:
         self._begun, is_new = begin(self.continued, first, slam, self._seed, self._report, self._floor)

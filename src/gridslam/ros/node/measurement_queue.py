@@ -39,9 +39,7 @@ class SessionEnd(Enum):
     """Why a session ends."""
 
     RESET = "reset"
-    MAP = "a new map"
     SESSION = "another session"
-    SWITCH = "mapping and localizing in turn"
     JUMP = "time jumped back, and the robot is elsewhere"
     CARRIED = "the robot was carried, and is looked for in the map so far"
     CLOSED = "closed"
@@ -90,7 +88,7 @@ class MeasurementQueue:
     ----------
     counts : Counts
         Counts of scans.
-    is_paused, waits_for_map : bool
+    is_paused : bool
         Whether incoming scans are dropped.
     received_s : float or None, s
         When the last scan came, by the clock; None before the first one.
@@ -101,7 +99,6 @@ class MeasurementQueue:
     def __init__(self, settings: NodeSettings, warn: Warn, clock: Callable[[], float] = time.perf_counter) -> None:
         self.counts = Counts()
         self.is_paused = False
-        self.waits_for_map = False
         self.received_s: float | None = None
         self.missing_transform = ""
         self._settings = settings
@@ -132,7 +129,7 @@ class MeasurementQueue:
         with self._changed:
             counts.received += 1
             self.received_s = arrived_s
-            if self.is_paused or self.waits_for_map:
+            if self.is_paused:
                 counts.paused += 1
                 return
             if (counts.received - 1) % settings.throttle_scans:

@@ -49,7 +49,7 @@ class NodeFacts:
         The transform without which the last scan was refused; empty if that was not the reason.
     outage : str
         What the transport has lost, such as ROS's master; empty if nothing.
-    is_paused, waits_for_map, localizes, lost, looking, is_closed : bool
+    is_paused, localizes, lost, looking, is_closed : bool
         Of the node: whether scans are left out on request, it needs a map, the map is known, the robot is lost, or its
         pose has not been found yet, and whether the node has ended.
     failure : str
@@ -64,7 +64,6 @@ class NodeFacts:
     missing_transform: str = ""
     outage: str = ""
     is_paused: bool = False
-    waits_for_map: bool = False
     localizes: bool = False
     lost: bool = False
     looking: bool = False
@@ -82,8 +81,6 @@ def find_state(facts: NodeFacts) -> NodeState:
         return NodeState("no master", Level.WARN, facts.outage)
     if facts.is_paused:
         return NodeState("paused", Level.OK, "paused")
-    if facts.waits_for_map:
-        return NodeState("waiting", Level.WARN, "waiting for a map")
     return _find_input_state(facts) or _find_filter_state(facts)
 
 

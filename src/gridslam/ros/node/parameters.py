@@ -83,12 +83,7 @@ _OWN: Final[tuple[tuple[str, float | int | str | bool, str], ...]] = (
     ("map_file", "", ""),
     ("scan_topic", "scan", ""),
     ("paused_new_measurements", False, ""),
-    ("use_map_topic", False, ""),
-    ("map_topic", "", ""),
-    ("first_map_only", False, ""),
-    ("save_pose_rate", 0.5, ""),
     ("tf_broadcast", True, ""),
-    ("lifecycle", False, ""),
 )
 """The node's own parameters, but for those of sessions: name, default, and the field of `NodeSettings` that it is."""
 
@@ -225,8 +220,6 @@ class NodeParameters:
         The ignored parameters with the reasons; empty if there are none.
     record, out : Path or None
         File for the accepted scans, and output folder.
-    map_topic : str
-        Topic of the map to localize in; empty: it is known, or built.
     values : dict
         The parameters by their ROS names: those that have an effect, and all others that were given.
     files : SessionFiles
@@ -238,7 +231,6 @@ class NodeParameters:
     warning: str
     record: Path | None
     out: Path | None
-    map_topic: str = ""
     values: Mapping[str, Any] = field(default_factory=dict)
     files: SessionFiles = field(default_factory=SessionFiles)
 
@@ -304,7 +296,6 @@ def _node_parameters(given: Mapping[str, Any], foreign: Mapping[str, str], prese
         reasons |= {name: own for name in given if name in (*_PATHS, "preset", "config", "set", "seed")}
     if not values["tf_broadcast"]:
         given["transform_publish_period"] = 0.0
-    map_topic = _find_map_topic(values) if localizes else ""
     warning = _group_by_reason({**reasons, **foreign})
     settings = _read_settings(given)
     effective = {**values, **{name: getattr(settings, attribute) for name, attribute in _NODE.items()}}
@@ -314,27 +305,17 @@ def _node_parameters(given: Mapping[str, Any], foreign: Mapping[str, str], prese
         effective |= {name: value_of(configuration, path) for name, path in _FILTER.items() if path in there}
     else:
         effective |= {name: value for name, value in given.items() if name in AMCL_NAMES}
-    return NodeParameters(settings, configuration, warning, record, out, map_topic, effective, files)
+    return NodeParameters(settings, configuration, warning, record, out, effective, files)
 
 
 def _check_node_values(values: Mapping[str, Any]) -> None:
     """Check the node's own parameters that are no settings."""
-    for name in ("paused_new_measurements", "use_map_topic", "first_map_only", "tf_broadcast", "lifecycle"):
+    for name in ("paused_new_measurements", "tf_broadcast"):
         if not isinstance(values[name], bool):
             raise ConfigurationError(f"{name}: expected true or false, got {values[name]!r}")
-    for name in ("scan_topic", "map_topic"):
-        if not (isinstance(values[name], str) and (values[name] or name == "map_topic")):
-            raise ConfigurationError(f"{name}: expected the name of a topic, got {values[name]!r}")
-    rate = values["save_pose_rate"]
-    if isinstance(rate, bool) or not isinstance(rate, int | float):
-        raise ConfigurationError(f"save_pose_rate: expected a number, got {rate!r}")
-
-
-def _find_map_topic(values: Mapping[str, Any]) -> str:
-    """Return the topic of the map to localize in; empty if it comes from a file."""
-    if values["map_file"] or not (values["use_map_topic"] or values["map_topic"]):
-        return ""
-    return str(values["map_topic"] or "map")
+    topic = values["scan_topic"]
+    if not (isinstance(topic, str) and topic):
+        raise ConfigurationError(f"scan_topic: expected the name of a topic, got {topic!r}")
 
 
 def _read_mapping(given: Mapping[str, Any], preset_name: str) -> tuple[Configuration, dict[str, str]]:
@@ -365,18 +346,14 @@ def _read_mapping(given: Mapping[str, Any], preset_name: str) -> tuple[Configura
 
 def _read_localization(given: Mapping[str, Any]) -> tuple[Localization, dict[str, str]]:
     """Return the localization, and why given parameters have no effect: AMCL's hold instead of slam_gmapping's."""
-    by_topic = bool(_find_map_topic({**NODE_DEFAULTS, **given}))
-    if not given.get("map_file") and not by_topic:
-        expected = "the YAML file of the known map, or use_map_topic for a map of another program"
-        raise ConfigurationError(f"map_file: expected {expected}, got none")
+    if not given.get("map_file"):
+        raise ConfigurationError("map_file: expected the YAML file of the known map, got none")
     amcl = from_amcl({name: value for name, value in given.items() if name in AMCL_NAMES})
     changed = override_configuration(amcl.configuration, _assignments(given))
     source = changed if changed.pose is not None else amcl
-    known = None
-    if not by_topic:
-        known = known_map(str(given["map_file"]), changed.configuration, int(given.get("threads", 1)))[1]
+    known = known_map(str(given["map_file"]), changed.configuration, int(given.get("threads", 1)))[1]
     pose = None if source.pose is None else (source.pose, source.covariance)
-    if pose is not None and known is not None:
+    if pose is not None:
         try:
             known.require(pose[0])
         except ArgumentError as error:

@@ -19,14 +19,14 @@ from gridslam.io.bags.ros_messages import MessageError, Wire, decode_scan, decod
 from gridslam.io.output import OutputFolder
 from gridslam.pipeline import describe_error
 from gridslam.ros.node.core import NodeCore
-from gridslam.ros.node.grid_input import covariance_of, grid_of, pose_of
+from gridslam.ros.node.grid_input import covariance_of, pose_of
 from gridslam.ros.node.live_autosave import keep_other
 from gridslam.ros.node.mapping_session import SessionCopy
 from gridslam.ros.node.messages import GridMessage, Level
 from gridslam.ros.node.outputs import grid_values
 from gridslam.ros.node.parameters import NodeParameters
 from gridslam.ros.node.session_services import SessionServices
-from gridslam.ros.node.transport import LOCALIZATION_TOPICS, TOPICS, RunOptions, Serve, Transport
+from gridslam.ros.node.transport import ALL_TOPICS, TOPICS, RunOptions, Serve, Transport
 
 _POSE = TOPICS["~/pose"]
 _PAUSED = "paused_new_measurements"
@@ -61,7 +61,6 @@ class RosNode:
         self._files = parameters.files
         self._scan_topic = str(parameters.values["scan_topic"])
         self._values = parameters.values
-        self._map_topic = parameters.map_topic
         self._saving: list[threading.Thread] = []
         self._saved: set[Path] = set()
         self.core = NodeCore(
@@ -79,10 +78,8 @@ class RosNode:
         self._services.save_as = str(parameters.values.get(_SAVE_AS, ""))
         if parameters.values[_PAUSED]:
             self.core.pause(True)
-        transport.connect(self.core.refuse_message, self._topics(parameters))
-        rate_hz = float(parameters.values["save_pose_rate"])
-        if rate_hz > 0 and self.core.localizes:
-            self.core.add_timer(1.0 / rate_hz, self._save_pose)
+        topics = ALL_TOPICS if self.core.localizes else TOPICS
+        transport.connect(self.core.refuse_message, {**topics})
         if parameters.warning:
             self._log(Level.WARN, parameters.warning)
 
@@ -102,14 +99,8 @@ class RosNode:
         def on_pose(data: bytes, wire: Wire, publisher: str) -> None:
             set_pose_from_message(core, decode(_POSE, data))
 
-        def on_map(data: bytes, wire: Wire, publisher: str) -> None:
-            core.set_map(grid_of(decode(TOPICS["map"], data)), only_first=self._values["first_map_only"])
-
         if core.localizes:
             self._subscribe("initialpose", _POSE, on_pose, depth=1)
-        if self._map_topic:
-            self._subscribe(self._map_topic, TOPICS["map"], on_map, latched=True, depth=1)
-            self._log(Level.OK, f"waiting for a map on {self._transport.resolve(self._map_topic)}")
         on_static_transforms = partial(on_transforms, static=True)
         self._subscribe("/tf_static", "tf2_msgs/TFMessage", on_static_transforms, latched=True, depth=100)
         self._subscribe("/tf", "tf2_msgs/TFMessage", on_transforms, depth=_TRANSFORMS_DEPTH)
@@ -193,23 +184,12 @@ class RosNode:
         def reset(request: Any) -> None:  # noqa: ANN401
             core.reset()
 
-        def set_map(request: Any) -> tuple[bool]:  # noqa: ANN401
-            try:
-                given = request.initial_pose.pose
-                covariance = covariance_of(given)
-                core.set_map(grid_of(request.map), (pose_of(given.pose), covariance) if covariance.any() else None)
-            except (ArgumentError, MessageError) as error:
-                core.refuse_message("request", f"set_map: {error}")
-                return (False,)
-            return (True,)
-
         def pause(request: Any) -> tuple[bool, str]:  # noqa: ANN401
             core.pause(request.data)
             return True, "paused" if request.data else "mapping"
 
         transport.advertise_parameters(self._values, self._change_parameter, (_PAUSED, _SAVE_AS))
-        if not self._map_topic:
-            transport.advertise("dynamic_map", "nav_msgs/GetMap", self._give_map, slow=True)
+        transport.advertise("dynamic_map", "nav_msgs/GetMap", self._give_map, slow=True)
         taken = self._advertise_slam_toolbox()
         own: dict[str, tuple[str, Serve, bool]] = {
             "~/reset": ("std_srvs/Empty", reset, False),
@@ -220,7 +200,6 @@ class RosNode:
             own |= {
                 transport.global_localization: ("std_srvs/Empty", reset, False),
                 "request_nomotion_update": ("std_srvs/Empty", lambda request: core.update_once(), False),
-                "set_map": ("nav_msgs/SetMap", set_map, True),
             }
         for name, (kind, serve, slow) in own.items():
             if transport.resolve(name) not in taken:
@@ -241,24 +220,6 @@ class RosNode:
         if latest is None and not self._transport.gives_empty_map:
             raise GridslamError("there is no map yet")
         return (grid_values(self._transport.encoder, "dynamic_map", latest or _EMPTY_MAP),)
-
-    def _topics(self, parameters: NodeParameters) -> dict[str, str]:
-        """Topics that are published, and their types."""
-        if not self.core.localizes:
-            return {**TOPICS}
-        topics = {**TOPICS, **LOCALIZATION_TOPICS}
-        if parameters.map_topic:  # another program publishes it
-            del topics["map"], topics["map_metadata"]
-        return topics
-
-    def _save_pose(self) -> None:
-        """Keep the pose where a node that is started again finds it, as AMCL does."""
-        if (known := self.core.latest_pose) is None:
-            return
-        pose, covariance = known
-        values = dict(zip(("initial_pose_x", "initial_pose_y", "initial_pose_a"), pose.tolist(), strict=True))
-        names = "initial_cov_xx", "initial_cov_yy", "initial_cov_aa"
-        self._transport.save_parameters({**values, **dict(zip(names, np.diag(covariance).tolist(), strict=True))})
 
     def _change_parameter(self, name: str, value: Any) -> str:  # noqa: ANN401
         """Set a parameter while the node runs."""

@@ -1,6 +1,6 @@
 """The services' requests and responses, by the text of their .srv files: rosbags has none of them.
 
-Source: the packages nav_msgs, std_srvs, lifecycle_msgs and rcl_interfaces of ROS 2, and slam_toolbox's folder srv.
+Source: the packages nav_msgs, std_srvs and rcl_interfaces of ROS 2, and slam_toolbox's folder srv.
 """
 
 from __future__ import annotations
@@ -32,19 +32,11 @@ _PARAMETERS: Final = "rcl_interfaces/Parameter[] parameters"
 
 _OF_BOTH: Final[Mapping[str, tuple[str, str]]] = {
     "nav_msgs/GetMap": ("", "nav_msgs/OccupancyGrid map"),
-    "nav_msgs/SetMap": (
-        "nav_msgs/OccupancyGrid map\ngeometry_msgs/PoseWithCovarianceStamped initial_pose",
-        "bool success",
-    ),
     "std_srvs/Empty": ("", ""),
     "std_srvs/SetBool": ("bool data", "bool success\nstring message"),
     "std_srvs/Trigger": ("", "bool success\nstring message"),
 }
 _OF_ROS2: Final[Mapping[str, tuple[str, str]]] = {
-    "lifecycle_msgs/GetState": ("", "lifecycle_msgs/State current_state"),
-    "lifecycle_msgs/GetAvailableStates": ("", "lifecycle_msgs/State[] available_states"),
-    "lifecycle_msgs/GetAvailableTransitions": ("", "lifecycle_msgs/TransitionDescription[] available_transitions"),
-    "lifecycle_msgs/ChangeState": ("lifecycle_msgs/Transition transition", "bool success"),
     "rcl_interfaces/ListParameters": (
         "string[] prefixes\nuint64 depth",
         "rcl_interfaces/ListParametersResult result",

@@ -1,4 +1,4 @@
-"""One session of a filter that localizes: from its first scan until a reset, another map or the end."""
+"""One session of a filter that localizes: from its first scan until a reset or the end."""
 
 from __future__ import annotations
 
@@ -33,15 +33,15 @@ class Localization:
 
     Attributes
     ----------
-    known : KnownMap or None
-        The map; None until one comes as a message.
+    known : KnownMap
+        The map.
     configuration : MonteCarloConfiguration
         Configuration of the filter.
     initial_pose : (pose (3,), covariance (3, 3)) or None
         Initial pose; None: global localization.
     """
 
-    known: KnownMap | None
+    known: KnownMap
     configuration: MonteCarloConfiguration
     initial_pose: InitialPose = None
 
@@ -67,7 +67,6 @@ class LocalizationSession:
 
     def __init__(self, localization: Localization, seed: int) -> None:
         self._rng = np.random.default_rng(seed)
-        assert localization.known is not None
         self._mcl = MonteCarloLocalization(localization.known, localization.configuration)
         self.init = self._mcl.init
         self.state = self._make_state(localization.initial_pose)
@@ -98,16 +97,3 @@ class LocalizationSession:
 
     def _make_state(self, pose: InitialPose) -> MonteCarloState:
         return self._mcl.init() if pose is None else self._mcl.init_gaussian(*pose, self._rng)
-
-
-@final
-class WaitingSession:
-    """A localization without a map: no scan is processed."""
-
-    restart_message = "localization starts"
-    state = None
-
-    def run(self, source: Iterator[Measurement], observers: Sequence[Any], on_failure: FailureCallback) -> None:
-        """Drop all scans."""
-        for _ in source:
-            pass

@@ -1,10 +1,9 @@
-"""What people and programs ask a running node for: to save, to load, and to switch between mapping and localizing."""
+"""What people and programs ask a running node for: to save and to load."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import replace
 from enum import IntEnum
 from pathlib import Path
 from typing import Any, Final, TypeAlias, final
@@ -12,29 +11,19 @@ from typing import Any, Final, TypeAlias, final
 import numpy as np
 
 from gridslam.api.beginning import Place
-from gridslam.api.merging import merge_sessions
-from gridslam.api.session import Session as SavedDrives
-from gridslam.config import Configuration
 from gridslam.errors import ArgumentError, GridslamError, InputError, OutputError
 from gridslam.io.maps import write_map
-from gridslam.io.staging import StagingFolder
-from gridslam.localization import KnownMap, MonteCarloConfiguration
 from gridslam.pipeline import describe_error
 from gridslam.ros.node.continued import Continued
 from gridslam.ros.node.core import NodeCore
 from gridslam.ros.node.grid_input import pose_of
 from gridslam.ros.node.messages import Level
-from gridslam.ros.node.session import InitialPose
-from gridslam.types import FloatArray, OccupancyGrid
+from gridslam.types import FloatArray
 
 Answer: TypeAlias = tuple[bool, str]
 """Whether it succeeded, and a message."""
 
 _SUFFIX: Final = ".gridslam"
-_LEAST_VARIANCES: Final = np.diag([0.05**2, 0.05**2, 0.02**2])
-"""Of a pose from which a robot is localized in the map that it has just made."""
-_GIVEN_VARIANCES: Final = np.diag([0.5**2, 0.5**2, 0.25**2])
-"""Of a pose that a person gives."""
 _FAILED: Final = 255
 _INVALID_NAME: Final = 1
 _UNREADABLE: Final = 3
@@ -46,7 +35,6 @@ class MatchType(IntEnum):
     UNSET = 0
     START_AT_FIRST_NODE = 1
     START_AT_GIVEN_POSE = 2
-    LOCALIZE_AT_POSE = 3
 
 
 @final
@@ -81,8 +69,6 @@ class SessionServices:
             "~/serialize_map": ("std_srvs/Trigger", lambda request: self.answer(self.serialize, self.save_as)),
             "~/deserialize_map": ("std_srvs/Trigger", lambda request: self.answer(self.deserialize, self.save_as)),
             "~/save_map": ("std_srvs/Trigger", lambda request: self.answer(self.save_map, self.save_as)),
-            "~/merge_map": ("std_srvs/Trigger", lambda request: self.answer(self.merge, self.save_as)),
-            "~/localize": ("std_srvs/SetBool", lambda request: self.answer(self.localize, bool(request.data))),
         }
 
     def of_slam_toolbox(self) -> dict[str, tuple[str, Callable[[Any], Sequence[Any]]]]:
@@ -136,7 +122,7 @@ class SessionServices:
         return f"session saved: {path.resolve()}"
 
     def deserialize(self, name: str = "", match: MatchType = MatchType.UNSET, pose: FloatArray | None = None) -> str:
-        """Go on from NAME.gridslam instead of what was mapped, or localize in its map.
+        """Go on from NAME.gridslam instead of what was mapped.
 
         Parameters
         ----------
@@ -144,15 +130,14 @@ class SessionServices:
             Of the session.
         match : MatchType
             At the first node and at a given pose, the robot is looked for about `pose` (3,), which of the first node
-            is the origin; unset, the first scan decides. With `LOCALIZE_AT_POSE` the session's map is known from then
-            on, and the mapping session waits.
+            is the origin; unset, the first scan decides.
         pose : (3,) float64, optional
             Of the robot in the session's map; the origin if it is needed and not given.
 
         Raises
         ------
         GridslamError
-            The session cannot be read, or the pose is not in its map.
+            The session cannot be read.
         """
         path = self._session_path(name)
         place, begin = Place.AUTO, None
@@ -160,90 +145,18 @@ class SessionServices:
             is_origin = pose is None or match is MatchType.START_AT_FIRST_NODE
             place, begin = Place.ELSEWHERE, np.zeros(3) if is_origin else pose
         continued = Continued.read(path, self._core.settings.threads, place, begin)
-        if match is MatchType.LOCALIZE_AT_POSE:
-            grid = SavedDrives.open(path, threads=self._core.settings.threads).map
-            assert begin is not None
-            self._localize(grid, continued.saved.configuration, (begin, _GIVEN_VARIANCES))
-            return f"localizing in {path}"
         self._core.ask(lambda: self._core.begin_session(continued))
         return f"going on from {path}"
-
-    def merge(self, name: str = "") -> str:
-        """Join the session with NAME.gridslam, and continue both; the robot is looked for in their map.
-
-        What was mapped is kept in before-merge.gridslam, and both in merged.gridslam, in the folder, once both are
-        joined; until then these files stay as they were.
-
-        Raises
-        ------
-        GridslamError
-            Nothing is mapped yet, the session cannot be read or has the name of one of these files, or both show no
-            place in common.
-        """
-        other = self._session_path(name)
-        own, joined = (self._folder / f"{stem}{_SUFFIX}" for stem in ("before-merge", "merged"))
-        if other.resolve() in (own.resolve(), joined.resolve()):
-            raise ArgumentError("merge", "another name, as this file is written", str(other))
-        copied = self._core.copy_session()
-        with _writing(own):
-            staging = StagingFolder(own.parent, own.name)  # which the next run removes if this one is killed
-        try:
-            aside = staging.path / own.name
-            copied.save_session(aside)
-            merged = merge_sessions([aside, other], threads=self._core.settings.threads)
-            if not merged.is_joined:
-                raise ArgumentError("merge", "a session that shows some of the same places", str(other))
-            merged.session.save(joined)
-            aside.replace(own)
-        finally:
-            staging.remove()
-        continued = Continued.read(joined, self._core.settings.threads, Place.ELSEWHERE)
-        self._core.ask(lambda: self._core.begin_session(continued))
-        return f"going on from {joined.resolve()}: what was mapped, joined with {other.resolve()}"
 
     def save_map(self, name: str = "") -> str:
         """Write the map as it is to NAME.yaml and NAME.pgm. Raises GridslamError where there is none."""
         path = Path(name).expanduser() if name else self._folder / "map"
         yaml = path.with_name(f"{path.name.removesuffix('.yaml')}.yaml")
-        grid = self._copy_map()[0]
-        with _writing(yaml):
-            write_map(yaml, grid)
-        return f"map saved: {yaml.resolve()}"
-
-    def localize(self, on: bool) -> str:
-        """Localize in the map that was built, which is frozen, from where the robot is; or go on with mapping it.
-
-        Raises ArgumentError where nothing is mapped yet, or the robot is lost. What it does already it goes on with.
-        """
-        core = self._core
-        if on == core.localizes:
-            return "localizing" if on else "mapping"
-        if on:
-            self._localize(*self._copy_map(), None)
-        else:
-            core.ask(core.resume_mapping)
-        return "localizing in the map so far" if on else "mapping goes on"
-
-    def _localize(self, grid: OccupancyGrid, configuration: Configuration, pose: InitialPose) -> None:
-        core = self._core
-        own = MonteCarloConfiguration()
-        own = replace(own, range_max_m=min(own.range_max_m, configuration.range_max_m))
-        known = KnownMap(grid, reach_m=own.reach_m, threads=core.settings.threads)
-
-        def switch() -> None:
-            begin = pose
-            if begin is None and (now := core.latest_pose) is not None:
-                begin = now[0], now[1] + _LEAST_VARIANCES
-            core.localize_in(known, own, begin)
-
-        core.ask(switch)
-
-    def _copy_map(self) -> tuple[OccupancyGrid, Configuration]:
-        """The best particle's map, and the configuration with which it was built."""
-        copied = self._core.copy_session()
-        state = copied.beginning.run.state
+        state = self._core.copy_session().beginning.run.state
         assert state is not None
-        return state.maps.occupancy(state.best), copied.configuration
+        with _writing(yaml):
+            write_map(yaml, state.maps.occupancy(state.best))
+        return f"map saved: {yaml.resolve()}"
 
     def _session_path(self, name: str) -> Path:
         path = Path(name).expanduser() if name else self._folder / f"session{_SUFFIX}"

@@ -140,23 +140,6 @@ class StatePublisher:
         if self._mapped_report is None or not self._settings.map_update_interval_s:
             self.publish_map(state)
 
-    @property
-    def map_from_odom(self) -> FloatArray:
-        """Pose (3,) of the odometry's frame in the map, after the last scan; without odometry that of the robot."""
-        with self._lock:
-            return self._map_from_odom
-
-    @property
-    def is_lost(self) -> bool:
-        """Whether the robot was lost at the last scan."""
-        return self._report is not None and bool(self._report.lost)
-
-    @property
-    def latest_pose(self) -> tuple[FloatArray, FloatArray] | None:
-        """Pose (3,) and covariance (3, 3) at the last scan; None without, or if the robot is lost."""
-        report = self._report
-        return None if report is None or report.lost else (report.pose, report.covariance)
-
     def publish_map(self, state: Any) -> None:  # noqa: ANN401
         """Render and publish the map if it is new and no other map is being rendered; call from the filter's thread."""
         renderer = self.renderer
@@ -257,7 +240,6 @@ class StatePublisher:
             accepted_s=None if report is None else self._arrived_s + offset_s,
             missing_transform=self._queue.missing_transform,
             is_paused=self._queue.is_paused,
-            waits_for_map=self._queue.waits_for_map,
             localizes=localized is not None,
             lost=report is not None and bool(report.lost),
             looking=localized is not None and localized.looking,

@@ -131,9 +131,6 @@ class Transport(Protocol):
         Raises ConfigurationError if its type is not installed.
         """
 
-    def save_parameters(self, values: Mapping[str, float]) -> None:
-        """Set parameters of the node, where it finds them when it is started again."""
-
     def advertise_parameters(
         self, values: Mapping[str, Any], change: Callable[[str, Any], str], settable: Sequence[str]
     ) -> None:

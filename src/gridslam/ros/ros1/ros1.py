@@ -107,11 +107,6 @@ class Ros1Transport:
 
         self._rospy.Service(_name(service), service_class, answer)
 
-    def save_parameters(self, values: Mapping[str, float]) -> None:
-        """Set parameters of the node."""
-        for name, value in values.items():
-            self._rospy.set_param(f"~{name}", value)
-
     def advertise_parameters(
         self, values: Mapping[str, Any], change: Callable[[str, Any], str], settable: Sequence[str]
     ) -> None:

@@ -1,1 +1,1 @@
-"""What both ways into ROS 2 share: its arguments, parameters and the lifecycle."""
+"""What both ways into ROS 2 share: its arguments and parameters."""

@@ -7,14 +7,13 @@ from __future__ import annotations
 
 import re
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from itertools import pairwise
 from typing import Any, Final, final
 
 from gridslam.errors import ConfigurationError
 from gridslam.io.ros_parameters import read_parameter_file
 from gridslam.io.yaml import parse_yaml
-from gridslam.ros.rtps.qos import Qos
 
 _KINDS: Final[tuple[tuple[str, ...], ...]] = (
     ("-p", "--param"),
@@ -23,14 +22,6 @@ _KINDS: Final[tuple[tuple[str, ...], ...]] = (
     ("--log-level", "--log-config-file", "-e", "--enclave"),  # without effect here
 )
 _PARAMETER, _REMAP, _FILE, _OF_ROS = _KINDS
-_POLICIES: Final[Mapping[str, Mapping[str, tuple[str, bool]]]] = {
-    "reliability": {"reliable": ("reliable", True), "best_effort": ("reliable", False)},
-    "durability": {"transient_local": ("latched", True), "volatile": ("latched", False)},
-    "history": {"keep_last": ("", False)},
-}
-"""Attribute of `Qos` and its value, for each value of a policy."""
-
-_OVERRIDE = re.compile(r"qos_overrides\.([^.]+)\.(publisher|subscription)\.(\w+)")
 _FLAG_OF_ROS = re.compile("--(enable|disable)-(rosout|stdout|external-lib)-logs")
 
 
@@ -49,8 +40,6 @@ class RosArguments:
         Name and namespace of the node; the latter begins with a slash.
     ignored : tuple of str
         Arguments that have an effect only in ROS.
-    qos_overrides : dict
-        Values by topic, "publisher" or "subscription", and policy.
     """
 
     parameters: Mapping[str, Any] = field(default_factory=dict)
@@ -58,31 +47,11 @@ class RosArguments:
     node: str = "gridslam"
     namespace: str = "/"
     ignored: tuple[str, ...] = ()
-    qos_overrides: Mapping[tuple[str, str, str], Any] = field(default_factory=dict)
 
     def resolve(self, name: str) -> str:
         """Return the full name of a topic or service: remapped, in the namespace, or in the node's own after a ~."""
         full = self._full(name)
         return next((self._full(to) for of, to in self.remaps.items() if self._full(of) == full), full)
-
-    def override_qos(self, topic: str, side: str, qos: Qos) -> Qos:
-        """Return the quality of service of a topic, by its full name, on a side: "publisher" or "subscription".
-
-        Raises ConfigurationError for a policy with another value than ROS's.
-        """
-        changes: dict[str, Any] = {}
-        for (of, which, policy), value in self.qos_overrides.items():
-            if (self._full(of), which) != (topic, side):
-                continue
-            name = f"qos_overrides.{of}.{which}.{policy}"
-            if policy == "depth" and isinstance(value, int) and not isinstance(value, bool) and value > 0:
-                changes["depth"] = value
-            elif (known := _POLICIES.get(policy, {}).get(str(value))) is not None:
-                changes |= {known[0]: known[1]} if known[0] else {}
-            elif policy in ("depth", *_POLICIES):
-                expected = "a number above 0" if policy == "depth" else " or ".join(_POLICIES[policy])
-                raise ConfigurationError(f"{name}: expected {expected}, got {value!r}")
-        return replace(qos, **changes)
 
     def _full(self, name: str) -> str:
         space = self.namespace.rstrip("/")
@@ -129,10 +98,9 @@ def parse_ros_arguments(arguments: Sequence[str], node: str = "gridslam") -> Ros
             parameters |= _read_file(text, f"{space.rstrip('/')}/{named}")
         elif kind is _PARAMETER:
             of, name, value = _split(text)
-            parameters |= {name: _parse_value(value)} if of in ("", named) else {}
-    found = {name: _OVERRIDE.fullmatch(name) for name in parameters}
-    overrides = {(match[1], match[2], match[3]): parameters.pop(name) for name, match in found.items() if match}
-    return RosArguments(parameters, remaps, named, space, tuple(ignored), overrides)
+            is_own = of in ("", named) and not name.startswith("qos_overrides.")  # which are the middleware's
+            parameters |= {name: _parse_value(value)} if is_own else {}
+    return RosArguments(parameters, remaps, named, space, tuple(ignored))
 
 
 def find_foreign_files(arguments: Sequence[str], node: str) -> tuple[str, ...]:
@@ -173,7 +141,7 @@ def _split(text: str) -> tuple[str, str, str]:
 def _read_file(path: str, node: str) -> dict[str, Any]:
     """Return the parameters of a file for the node with this full name."""
     found: dict[str, Any] = {}
-    for pattern, parameters in read_parameter_file(path, keeps_qos=True):
+    for pattern, parameters in read_parameter_file(path):
         if re.fullmatch(_node_pattern(pattern), node):
             found |= parameters
     return found

@@ -1,4 +1,4 @@
-"""What both ways into ROS 2 share: parameters and the lifecycle are services and topics, which either offers."""
+"""What both ways into ROS 2 share: parameters are services and a topic, which either offers."""
 
 from __future__ import annotations
 
@@ -8,7 +8,6 @@ from typing import Any, Final
 
 from gridslam.io.bags.encoder import Values
 from gridslam.io.bags.ros_messages import Wire, wire_of_cdr
-from gridslam.ros.node.core import NodeCore
 from gridslam.ros.node.messages import Level, Outputs
 from gridslam.ros.node.outputs import EncodedOutputs
 from gridslam.ros.node.parameters import NodeParameters
@@ -16,14 +15,10 @@ from gridslam.ros.node.ros_node import RosNode
 from gridslam.ros.node.service_types import service_encoder
 from gridslam.ros.node.transport import LATCHED, RunOptions, Transport
 from gridslam.ros.ros2.arguments import find_foreign_files
-from gridslam.ros.ros2.lifecycle_services import LifecycleServices
 from gridslam.ros.ros2.parameter_services import ParameterServices
 
-_PARAMETER_EVENTS, _TRANSITION_EVENT = "/parameter_events", "~/transition_event"
-_TYPES: Final = {
-    _PARAMETER_EVENTS: "rcl_interfaces/ParameterEvent",
-    _TRANSITION_EVENT: "lifecycle_msgs/TransitionEvent",
-}
+_PARAMETER_EVENTS: Final = "/parameter_events"
+_PARAMETER_EVENT: Final = "rcl_interfaces/ParameterEvent"
 _SIM_TIME: Final = "use_sim_time"
 
 
@@ -48,7 +43,6 @@ class Ros2Transport(Transport):
         )
         self._name = name
         self._simulated = simulated
-        self._parameters: ParameterServices | None = None
         self._refuse: Callable[[str, str], None] = lambda kind, problem: None
 
     def connect(self, refuse: Callable[[str, str], None], topics: Mapping[str, str]) -> None:
@@ -59,7 +53,7 @@ class Ros2Transport(Transport):
             for topic, kind in topics.items()
             if self._add_publisher(topic, kind, latched=topic in LATCHED, depth=1 if topic in LATCHED else 10)
         )
-        self._add_publisher(_PARAMETER_EVENTS, _TYPES[_PARAMETER_EVENTS], latched=False, depth=1000)
+        self._add_publisher(_PARAMETER_EVENTS, _PARAMETER_EVENT, latched=False, depth=1000)
 
     def wire_of(self, data: bytes) -> Wire:
         """Return the encoding of a message; raises MessageError if it has none."""
@@ -77,45 +71,24 @@ class Ros2Transport(Transport):
             return ""
 
         def report(new: Sequence[Values], changed: Sequence[Values]) -> None:
-            self._send(_PARAMETER_EVENTS, divmod(self._now_ns(), 1_000_000_000), self._name, new, changed, [])
+            stamp = divmod(self._now_ns(), 1_000_000_000)
+            data = self.encoder.encode(_PARAMETER_EVENT, stamp, self._name, new, changed, [])
+            self._publish(_PARAMETER_EVENTS, data)
 
         values = {**values, _SIM_TIME: self._simulated}
-        self._parameters = ParameterServices(values, change_any, (*settable, _SIM_TIME), report)
-        for name, (kind, serve) in self._parameters.services().items():
+        services = ParameterServices(values, change_any, (*settable, _SIM_TIME), report)
+        for name, (kind, serve) in services.services().items():
             self.advertise(f"~/{name}", kind, serve)
-
-    def save_parameters(self, values: Mapping[str, float]) -> None:
-        """Set parameters of the node."""
-        if self._parameters is not None:
-            self._parameters.store(values)
 
     def _refuse_request(self, service: str, problem: str) -> None:
         """Report why a request is not answered."""
         self._refuse("request", f"{self.resolve(service)}: {problem}")
 
     def run(self, arguments: Sequence[str], parameters: NodeParameters, options: RunOptions) -> None:
-        """Run the node until it is stopped; a managed one begins unconfigured."""
+        """Run the node until it is stopped."""
         for sentence in find_foreign_files(arguments, self._name):
             self.outputs.log(Level.WARN, sentence)
-        node = RosNode(self, parameters)
-        if parameters.values["lifecycle"]:
-            node.core.pause(True)
-            self._advertise_lifecycle(node.core)
-        node.run(options)
-
-    def _advertise_lifecycle(self, core: NodeCore) -> None:
-        """Offer the services of a managed node: it maps while it is active, and forgets when it is cleaned up."""
-
-        def publish(values: Values) -> None:
-            self._send(_TRANSITION_EVENT, self._now_ns(), *values)
-
-        self._add_publisher(_TRANSITION_EVENT, _TYPES[_TRANSITION_EVENT], latched=False, depth=10)
-        lifecycle = LifecycleServices(lambda active: core.pause(not active), core.reset, publish)
-        for name, (kind, serve) in lifecycle.services().items():
-            self.advertise(f"~/{name}", kind, serve)
-
-    def _send(self, topic: str, *values: Any) -> None:  # noqa: ANN401
-        self._publish(topic, self.encoder.encode(_TYPES[topic], *values))
+        RosNode(self, parameters).run(options)
 
     @abstractmethod
     def _add_publisher(self, topic: str, kind: str, *, latched: bool, depth: int) -> bool:

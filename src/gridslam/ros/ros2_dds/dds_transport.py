@@ -72,9 +72,8 @@ class DdsTransport(Ros2Transport):
         self, topic: str, kind: str, handle: Handler, *, reliable: bool = True, latched: bool = False, depth: int = 10
     ) -> None:
         """Subscribe to the bytes of messages."""
-        name = self.resolve(topic)
-        qos = self._arguments.override_qos(name, "subscription", Qos(reliable=reliable, latched=latched, depth=depth))
-        self._endpoints.add_reader(f"rt{name}", kind, handle, qos)
+        qos = Qos(reliable=reliable, latched=latched, depth=depth)
+        self._endpoints.add_reader(f"rt{self.resolve(topic)}", kind, handle, qos)
 
     def advertise(self, service: str, kind: str, serve: Serve, *, slow: bool = False) -> None:
         """Offer a service; a slow one answers in a thread of its own."""
@@ -92,9 +91,8 @@ class DdsTransport(Ros2Transport):
         self._participant.close()
 
     def _add_publisher(self, topic: str, kind: str, *, latched: bool, depth: int) -> bool:
-        name = self.resolve(topic)
-        qos = self._arguments.override_qos(name, "publisher", Qos(latched=latched, depth=depth))
-        self._writers[topic] = self._endpoints.add_writer(f"rt{name}", kind, qos)
+        qos = Qos(latched=latched, depth=depth)
+        self._writers[topic] = self._endpoints.add_writer(f"rt{self.resolve(topic)}", kind, qos)
         return True
 
     def _use_sim_time(self, simulated: bool) -> None:
