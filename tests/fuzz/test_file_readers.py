@@ -23,17 +23,17 @@ def chosen(tmp_path_factory) -> list[Family]:
 
 def test_a_sample_of_what_visitors_send_is_answered(chosen, tmp_path):
     pages = [family for family in chosen if family.name in PAGE]
-    rows = summarize(run_cases(pages, 10, 0, tmp_path), pages)
+    rows = summarize(run_cases(pages, 4, 0, tmp_path), pages)
     assert not [example for row in rows for example in row["examples"]]
 
 
 def test_a_sample_of_damaged_files_is_read_or_refused(chosen, tmp_path):
     chosen = [family for family in chosen if family.name not in PAGE]
-    rows = summarize(run_cases(chosen, 120, 0, tmp_path), chosen)
+    rows = summarize(run_cases(chosen, 60, 0, tmp_path), chosen)
     assert not [example for row in rows for example in row["examples"]]
     assert {2, 8, 9, 13, 14} <= {row["point"] for row in rows}
     read, refused = (sum(row[verdict] for row in rows) for verdict in ("read", "refused"))
-    assert min(read, refused) > 25  # damage is neither always fatal nor never
+    assert min(read, refused) > 12  # damage is neither always fatal nor never
 
 
 @pytest.mark.parametrize(
