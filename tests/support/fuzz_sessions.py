@@ -9,7 +9,7 @@ from __future__ import annotations
 import json
 import os
 import resource
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator
 from contextlib import redirect_stderr, redirect_stdout
 from dataclasses import replace
 from pathlib import Path
@@ -30,20 +30,16 @@ from gridslam.io.sessions.session_file import SESSION_SCHEMA, SavedRun, SavedSes
 from gridslam.sim import LidarConfig, OdometryNoise, RobotConfig, SimulatedLog, make_world, simulate
 from gridslam.slam.loop_closure.constraints import Constraint, ConstraintSource
 from gridslam.slam.loop_closure.graph_edits import GraphEdit
+from support.changes import INTEGERS, change_array, change_json, choose
 from support.loops import PROVOKED, loop_drive
 
 _MEMORY_BYTES = 1 << 30
-_INTEGERS = (0, -1, 1, 2, 7, 255, 1000, 10**6, 2**31 - 1, -(2**31), 2**62)
-_FLOATS = (np.nan, np.inf, -np.inf, 1e308, -1e30, 1e15, 1e9, 1e6, 1e-300, 0.0, -1.0)
-_TYPES: tuple[type, ...] = (np.float32, np.float64, np.int64, np.int32, np.int16, np.uint8, np.bool_, np.complex128)
-_VALUES: tuple[Any, ...] = (None, True, -1, 0, 999, 10**30, 1e308, -1e12, "", "x", "nan", [], [1], {}, [[]], {"a": 5})
-
 _Arrays = dict[str, Any]
 _Prepare = Callable[[Path, np.random.Generator], None]
 
 
-def sessions(folder: Path) -> Iterator[tuple[str, int, _Prepare, Callable[[Path], object], float]]:
-    """Name, point, the two functions and the weight of each family; healthy sessions are made in `folder`."""
+def sessions(folder: Path) -> Iterator[tuple[str, _Prepare, Callable[[Path], object], float]]:
+    """Name, the two functions and the weight of each family; healthy sessions are made in `folder`."""
     whole = _make_sessions(folder)
     log = (folder / "later.csv").read_bytes()
 
@@ -57,28 +53,24 @@ def sessions(folder: Path) -> Iterator[tuple[str, int, _Prepare, Callable[[Path]
         if command == "merge":
             (to / "other.gridslam").write_bytes((folder / "joined.gridslam").read_bytes())
 
-    yield "resealed sessions", 4, prepare, _run_command, 3.0
+    yield "resealed sessions", prepare, _run_command, 3.0
 
 
 def change_session(arrays: _Arrays, rng: np.random.Generator) -> _Arrays:
     """Change one or two things of a session, as somebody would who knows its format."""
     changed = dict(arrays)
     for _ in range(rng.choice([1, 1, 2])):
-        kinds = (_change_rows, _change_maps, _change_integer, _change_array, _change_array)
+        kinds = (_change_rows, _change_maps, _change_integer, change_array, change_array)
         kind = _change_head if "head" in arrays and not rng.integers(5) else kinds[rng.integers(len(kinds))]
         kind(changed, rng)
     return changed
 
 
-def _choose(names: Sequence[str], rng: np.random.Generator) -> str:
-    return names[rng.integers(len(names))]
-
-
 def _change_rows(arrays: _Arrays, rng: np.random.Generator) -> None:
     """Drop or repeat a row in all arrays of one state that have as many, or in some of them."""
-    like = arrays[_choose([name for name in sorted(arrays) if np.ndim(arrays[name])], rng)]
-    state = _choose(
-        sorted({name.rpartition(".")[0] for name in arrays if np.shape(arrays[name])[:1] == like.shape[:1]}), rng
+    like = arrays[choose(rng, [name for name in sorted(arrays) if np.ndim(arrays[name])])]
+    state = choose(
+        rng, sorted({name.rpartition(".")[0] for name in arrays if np.shape(arrays[name])[:1] == like.shape[:1]})
     )
     count = len(like)
     rows = [np.arange(count - 1), np.arange(count + 1) % max(count, 1), np.arange(min(count, 1)), np.arange(0)][
@@ -95,7 +87,7 @@ def _change_maps(arrays: _Arrays, rng: np.random.Generator) -> None:
     tables = sorted(name for name in arrays if name.endswith(".roots"))
     if not tables:
         return
-    part = _choose(tables, rng).removesuffix(".roots")
+    part = choose(rng, tables).removesuffix(".roots")
     roots = arrays[f"{part}.roots"]
     chosen = [roots[:1], roots[:-1], np.concatenate([roots, roots[:1]]), roots[:, :0], roots[:, :1], roots][
         rng.integers(6)
@@ -121,36 +113,13 @@ def _renumber(ids: Any) -> tuple[Any, Any]:
 def _change_integer(arrays: _Arrays, rng: np.random.Generator) -> None:
     """Set a number of an array of integers: a count, a row, or an id."""
     names = [name for name in sorted(arrays) if np.asarray(arrays[name]).dtype.kind in "iu" and np.size(arrays[name])]
-    name = _choose(names, rng)
+    name = choose(rng, names)
     values = np.array(arrays[name])
     place = rng.integers(values.size)
     near = int(values.flat[place]) + int(rng.choice([-1, 1, 2]))
-    number = near if rng.integers(2) else _INTEGERS[rng.integers(len(_INTEGERS))]
+    number = near if rng.integers(2) else INTEGERS[rng.integers(len(INTEGERS))]
     values.flat[place] = np.array(np.clip(number, -(2**62), 2**62)).astype(values.dtype)
     arrays[name] = values
-
-
-def _change_array(arrays: _Arrays, rng: np.random.Generator) -> None:
-    """Change an array's type, shape or one of its numbers, or leave it out."""
-    name = _choose(sorted(arrays), rng)
-    values = np.array(arrays[name])
-    match rng.integers(7):
-        case 0:
-            del arrays[name]
-        case 1 if values.dtype.kind in "iufb":
-            with np.errstate(all="ignore"):
-                arrays[name] = values.astype(_TYPES[rng.integers(len(_TYPES))])
-        case 2:
-            arrays[name] = [values.reshape(-1), values[None], values.T, values[..., None]][rng.integers(4)]
-        case 3:
-            arrays[name] = np.zeros([(0,), (3,), (2, 3), ()][rng.integers(4)], values.dtype)
-        case 4:
-            arrays[name] = np.repeat(values, 2, axis=0) if values.ndim else np.array([values])
-        case _ if values.size and values.dtype.kind == "f":
-            values.flat[rng.integers(values.size)] = _FLOATS[rng.integers(len(_FLOATS))]
-            arrays[name] = values
-        case _ if values.dtype.kind == "U":
-            arrays[name] = np.array(str(values.reshape(-1)[0])[:-1]) if values.size else values
 
 
 def _change_head(arrays: _Arrays, rng: np.random.Generator) -> None:
@@ -164,14 +133,7 @@ def _change_head(arrays: _Arrays, rng: np.random.Generator) -> None:
         lines[chosen] = f"{lines[chosen].rpartition('= ')[0]}= {value}"
         head["configuration"] = "\n".join(lines) + "\n"
     else:
-        here: Any = head
-        while True:
-            places = list(here) if isinstance(here, dict) else range(len(here))
-            place = places[rng.integers(len(places))]
-            if not (isinstance(here[place], dict | list) and here[place]) or not rng.integers(5):
-                here[place] = _VALUES[rng.integers(len(_VALUES))]
-                break
-            here = here[place]
+        head = change_json(head, rng)
     arrays["head"] = np.array(json.dumps(head))
 
 
@@ -179,17 +141,9 @@ def _run_command(where: Path) -> None:
     """Run the case's command on its session, and look at what it leaves."""
     session, out = str(where / "changed.gridslam"), where / "out"
     command = (where / "command.txt").read_text()
+    targets = "-o", str(out), "--save", str(where / "s.gridslam")
     arguments = {
-        "map": [
-            "map",
-            str(where / "later.csv"),
-            "--continue",
-            session,
-            "-o",
-            str(out),
-            "--save",
-            str(where / "s.gridslam"),
-        ],
+        "map": ["map", str(where / "later.csv"), "--continue", session, *targets],
         "session": ["session", session],
         "merge": ["merge", session, str(where / "other.gridslam"), "-o", str(out)],
     }[command]
