@@ -43,7 +43,7 @@ def test_a_sample_of_damaged_files_is_read_or_refused(chosen, tmp_path):
     ],
 )
 def test_a_reader_that_fails_is_seen(tmp_path, monkeypatch, fault, kind):
-    monkeypatch.setattr("support.fuzz_files.MEMORY_LIMIT_BYTES", 600 << 20)
+    monkeypatch.setattr("support.children.MEMORY_LIMIT_BYTES", 600 << 20)
 
     def read(where):
         exec(f"import os\nfrom gridslam.errors import InputError\n{fault}")
@@ -54,7 +54,7 @@ def test_a_reader_that_fails_is_seen(tmp_path, monkeypatch, fault, kind):
 
 
 def test_a_reader_that_never_ends_is_seen(tmp_path, monkeypatch):
-    monkeypatch.setattr("support.fuzz_files.CPU_LIMIT_S", 1)
+    monkeypatch.setattr("support.children.CPU_LIMIT_S", 1)
 
     def read(where):
         while True:

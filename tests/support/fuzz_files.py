@@ -1,22 +1,17 @@
 """Small healthy files of every format, damaged at random with stated seeds, and what readers make of them.
 
-Each case is read in a process of its own, forked from this one, that may take 6 GB of addresses and 20 s of CPU time.
-It passes where the file is read, or refused by an error that names it; whatever else comes (another exception, a
-signal, more than 2 GB, no end) is a failure.
+Each case is read in a process of its own. It passes where the file is read, or refused by an error that names it;
+whatever else comes (another exception, a signal, more than 2 GB, no end) is a failure.
 """
 
 from __future__ import annotations
 
 import bz2
-import faulthandler
 import gzip
 import io
 import json
 import math
 import os
-import resource
-import signal
-import warnings
 import zlib
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import redirect_stderr, redirect_stdout, suppress
@@ -60,15 +55,11 @@ from gridslam.types import Trajectory
 from support import ros_bags
 from support.broken_logs import OF_BYTES, OF_TEXT, damage, drive_about, whole_logs
 from support.changes import FLOATS, change_array, change_json
+from support.children import run_in_child
 from support.fuzz_images import MAP_YAML, images
 from support.fuzz_page import page_requests
 from support.fuzz_sessions import sessions
 from support.recorded import map_with_history
-
-CPU_LIMIT_S = 20  # of CPU time
-_PATIENCE_S = 120  # for what waits; and other processes may be at work
-MEMORY_LIMIT_BYTES = 2 << 30
-_ADDRESSES = 6 << 30
 
 
 @dataclass(frozen=True)
@@ -121,51 +112,19 @@ def failures(found: dict[str, list[str]]) -> list[str]:
 def _run_case(family: Family, rng: np.random.Generator, folder: Path) -> str:
     with TemporaryDirectory(dir=folder) as aside:
         family.prepare(Path(aside), rng)
-        receiver, sender = os.pipe()
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore")  # of other threads, that the case does not need
-            process = os.fork()
-        if not process:
-            os.close(receiver)
-            _read_in_child(family, Path(aside), sender)
-        os.close(sender)
-        with open(receiver, "rb") as pipe:
-            verdict = pipe.read().decode("utf-8", "replace")
-        _, status, used = os.wait4(process, 0)
-    if os.WIFSIGNALED(status):
-        number = os.WTERMSIG(status)
-        hangs = number in (signal.SIGALRM, signal.SIGXCPU)
-        return f"hang: not done after {CPU_LIMIT_S} s" if hangs else signal.Signals(number).name
-    if used.ru_maxrss * 1024 > MEMORY_LIMIT_BYTES and verdict in ("read", "refused"):
-        return "memory: more than 2 GB"
-    return verdict
+        return run_in_child(lambda: _read(family, Path(aside)))
 
 
-def _read_in_child(family: Family, folder: Path, sender: int) -> None:
-    """Read a case's files, and send the verdict; never returns."""
-    verdict = "no verdict"
+def _read(family: Family, folder: Path) -> str:
+    """Read a case's files; the verdict."""
+    os.dup2(os.open(os.devnull, os.O_WRONLY), 2)
     try:
-        faulthandler.disable()
-        signal.signal(signal.SIGALRM, signal.SIG_DFL)
-        signal.alarm(_PATIENCE_S)
-        resource.setrlimit(resource.RLIMIT_CPU, (CPU_LIMIT_S, CPU_LIMIT_S + 5))
-        resource.setrlimit(resource.RLIMIT_AS, (_ADDRESSES, _ADDRESSES))
-        resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
-        warnings.simplefilter("ignore")
-        os.dup2(os.open(os.devnull, os.O_WRONLY), 2)
         family.read(folder)
-        verdict = "read"
     except (InputError, ConfigurationError) as error:
         text = str(error)
         named = isinstance(error, ConfigurationError) or str(folder) in text
-        verdict = "refused" if named and "\n" not in text else f"unnamed: {text[:200]}"
-    except MemoryError:
-        verdict = "memory: MemoryError"
-    except BaseException as error:  # whatever it is, it is the verdict
-        verdict = f"{type(error).__name__}: {str(error)[:200]}"
-    finally:
-        os.write(sender, verdict.encode("utf-8", "replace"))
-        os._exit(0)
+        return "refused" if named and "\n" not in text else f"unnamed: {text[:200]}"
+    return "read"
 
 
 def families(folder: Path) -> list[Family]:
@@ -303,9 +262,7 @@ def _tables(folder: Path) -> Iterator[Family]:
     packed = [(gzip.compress, ".gz"), (bz2.compress, ".bz2")]
     beams = [(scan, angle, 1000 + 10 * angle) for scan in range(3) for angle in range(0, 360, 9)]
     named = [f"{'S ' * (not angle)} theta: {angle:.2f} Dist: {distance:08.2f} Q: 47" for _, angle, distance in beams]
-    echoed = [f"{k},{k},laser,0,1.9,0.1,0,0.1,0.1,12,{','.join(['1.5'] * 20)}" for k in range(9)]
     numbered = ["scan_id,angle (°),dist_mm", *(f"{scan},{angle},{distance}" for scan, angle, distance in beams)]
-    points = ["t; angle [deg]; dist [mm]", *(f"{scan},5; {angle}; {distance}" for scan, angle, distance in beams)]
 
     def read_scans(path: Path) -> None:
         for _ in open_log(path):
@@ -318,9 +275,7 @@ def _tables(folder: Path) -> Iterator[Family]:
         ("a.csv", [header, *table], read_trajectory_csv),
         ("a.relations", relations, read_relations),
         ("a.named", named, read_scans),
-        ("a.points", points, read_scans),
         ("a.numbered", numbered, read_scans),
-        ("a.echoed", echoed, read_scans),
         ("a.yaml", [parameters], read_parameter_file),
         ("a.toml", [configuration], load),
     ):
