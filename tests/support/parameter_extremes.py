@@ -1,4 +1,4 @@
-"""Each number of a configuration at its extremes: the run ends well or is refused by name, in bounded time and memory."""
+"""Every number of a configuration at its extremes: the run ends well or is refused by name, within bounds."""
 
 from __future__ import annotations
 
