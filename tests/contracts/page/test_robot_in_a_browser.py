@@ -1,11 +1,26 @@
 """The console of a robot, and the past of a run that goes on, in a real browser."""
 
+import json
+import threading
+
 import numpy as np
 import pytest
 
+from gridslam.api.localization import localize
+from gridslam.cli.live import node_page
+from gridslam.io.carmen.writer import write_carmen
+from gridslam.io.landmarks import write_landmarks
+from gridslam.io.maps import write_map
+from gridslam.io.trajectories import write_trajectory_csv, write_tum
 from gridslam.live.control import RobotCommands, RobotControl
 from gridslam.live.options import LiveOptions
 from gridslam.live.page import LivePage
+from gridslam.live.replay import Replay
+from gridslam.live.server import PageServer
+from gridslam.ros.node.parameters import node_parameters
+from gridslam.ros.node.ros_node import RosNode
+from gridslam.sim import LidarConfig, OdometryNoise, RobotConfig, make_world, simulate
+from gridslam.slam.landmarks.report import LandmarkMap
 from support.browsing import (
     PATIENCE_S,
     Mapping,
@@ -13,6 +28,7 @@ from support.browsing import (
     click,
     move_fingers,
     on_screen,
+    pixels_of,
     shown,
     text,
     told,
@@ -20,7 +36,13 @@ from support.browsing import (
     wait,
     wait_for_all,
 )
+from support.landmark_world import ring
+from support.localization_world import drive as flat_drive
 from support.localization_world import flat_map
+from support.loops import PROVOKED
+from support.node_faults import QUICK, SHIFT_NS, RunningNode, is_prepared
+from support.recorded import map_with_history
+from support.ros_node import LocalTransport, mounting, play, until
 
 SESSION = "serialize", "go_on", "merge", "localize"
 
@@ -156,3 +178,118 @@ def test_sessions_are_saved_continued_merged_and_localized_in_by_buttons(browser
         click(browser, "serialize")
         wait(lambda: "in the node's folder" in text(browser, "#answer"), "the refusal")
         assert len(robot.done) == 4
+
+
+def test_the_session_is_named_and_where_the_robot_was_found_is_marked(browser, screenshot, tmp_path, capsys):
+    rng = np.random.default_rng(1)
+    log = simulate(make_world("rooms", rng), RobotConfig(), OdometryNoise(), LidarConfig(beams=180), rng)
+    drive = list(log.measurements)[:300]
+    first = RunningNode(save=str(tmp_path / "floor.gridslam"))
+    first.play(drive)
+    first.stop()
+    transport = LocalTransport()
+    given = {**QUICK, "continue": str(tmp_path / "floor.gridslam")}
+    core = RosNode(transport, node_parameters(given, "default")).core
+    core.on_transforms([mounting()], static=True)
+    with node_page(LiveOptions(port=0), "robot", core, None):
+        browser.get(capsys.readouterr().err.split("live at ")[1].split()[0])
+        core.start()
+        shift_ns = SHIFT_NS + 3600 * 10**9
+        play(core, transport.outputs, drive[:5], shift_ns=shift_ns)
+        assert until(lambda: is_prepared(core), 60.0)
+        play(core, transport.outputs, drive[5:30], shift_ns=shift_ns)
+        wait(lambda: "looking for the robot in its map" in text(browser, "#goes-on"), "the search")
+        wait(lambda: "floor.gridslam 1 drive" in text(browser, "#goes-on"), "the session's name")
+        play(core, transport.outputs, drive[30:], shift_ns=shift_ns)
+        wait(lambda: "found again after" in text(browser, "#goes-on"), "found again")
+        assert shown(browser, "goes-on")
+        way = f"found again after {core._session.found_after_m:.1f} m, at "
+        assert way in text(browser, "#goes-on")
+        screenshot("found")
+        core.close()
+
+
+@pytest.fixture(scope="module")
+def place(tmp_path_factory):
+    """A flat's map and a drive in it."""
+    folder = tmp_path_factory.mktemp("flat")
+    write_map(folder / "flat.yaml", flat_map())
+    log = flat_drive(1, OdometryNoise())
+    write_carmen(folder / "flat.clf", log.measurements)
+    write_tum(folder / "truth.tum", log.truth)
+    return folder
+
+
+def test_particles_are_seen_to_converge(browser, place, screenshot):
+    grid = flat_map()
+    with LivePage("flat.clf", LiveOptions(port=0), range_max_m=30.0, known=grid) as page:
+        browser.get(page.url)
+        wait(lambda: int(told(browser).get("tiles", "0")) > 10, "the map is there before the first scan")
+        page.control.step(to_key_scan=True)
+        given = {"seed": 2, "observers": [page.observer], "gate": page.pace}
+        found = threading.Thread(target=localize, args=(place / "flat.clf", grid), kwargs=given)
+        found.start()
+        wait(lambda: told(browser).get("keys") == "1", "an update")
+        assert "elsewhere" not in text(browser, "#stage")
+        screenshot("lost")
+        wait(lambda: pixels_of(browser, "particle"), "the cloud is everywhere")
+        page.control.set_speed(5.0)
+        click(browser, "pause")
+        wait(lambda: told(browser)["stage"] == "running", "it is found")
+        screenshot("found")
+        wait(lambda: pixels_of(browser, "particle"), "the cloud is where the robot is")
+        assert not shown(browser, "weights")
+        assert not browser.find_elements("css selector", "#layers label:not([hidden]) [name=ancestry]")
+        assert text(browser, "[data-value=lost_probability]").endswith(" %")
+        page.control.end()
+        found.join(PATIENCE_S)
+        wait(lambda: told(browser)["stage"] == "writing", "the end")
+        wait(lambda: pixels_of(browser, "path") > 100, "the way")
+        screenshot("done")
+
+
+def seek(browser, at):
+    script = "arguments[0].value = arguments[1]; arguments[0].dispatchEvent(new Event('input'))"
+    browser.execute_script(script, browser.find_element("id", "line"), at)
+
+
+def test_landmarks_are_seen_with_the_way(browser, place, tmp_path, screenshot):
+    log = flat_drive(1)
+    spread = np.tile([[0.04, 0.01], [0.01, 0.09]], (6, 1, 1))
+    found = LandmarkMap(np.arange(6), ring(6), spread, np.ones(6, np.int64))
+    write_landmarks(tmp_path / "landmarks.csv", found)
+    covariances = np.tile(np.diag([0.04, 0.01, 0.001]), (len(log.truth), 1, 1))
+    write_trajectory_csv(tmp_path / "trajectory.csv", log.truth, covariances)
+    (tmp_path / "run.json").write_text('{"schema": "gridslam.landmarks/2", "input": {"path": "park.txt"}}')
+    with PageServer(Replay(tmp_path), LiveOptions(port=0)) as page:
+        browser.get(page.url)
+        wait(lambda: pixels_of(browser, "landmark") > 6 * 30, "six squares")
+        assert not shown(browser, "save-map")
+        assert "6 landmarks" in text(browser, "#summary")
+        screenshot("way")
+
+
+def test_a_mapped_run_has_a_time_line(browser, drive, tmp_path, screenshot):
+    write_carmen(tmp_path / "loop.clf.gz", drive[:200])
+    map_with_history(tmp_path / "loop.clf.gz", tmp_path / "out", configuration=PROVOKED, repair="none")
+    with PageServer(Replay(tmp_path / "out"), LiveOptions(port=0)) as page:
+        browser.get(page.url)
+        wait(lambda: told(browser).get("tiles", "0") != "0", "the map")
+        line = browser.find_element("id", "line")
+        last = int(line.get_attribute("max"))
+        assert int(line.get_attribute("value")) == last
+
+        def time_of():
+            return browser.find_element("css selector", "#time output").text
+
+        end = time_of()
+        seek(browser, 20)
+        wait(lambda: time_of() != end and int(line.get_attribute("value")) == 20, "the time line")
+        screenshot("early")
+        click(browser, "pause")
+        wait(lambda: int(line.get_attribute("value")) > 25, "it plays")
+        click(browser, "pause")
+        wait(lambda: told(browser)["stage"] == "paused", "it pauses")
+        record = json.loads((tmp_path / "out" / "run.json").read_text())["scans"]["used"]
+        assert last == record - 1
+        screenshot("later")
