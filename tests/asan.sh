@@ -51,6 +51,6 @@ env -u GRIDSLAM_KERNELS -u PYTHONPATH LD_PRELOAD="$preload" ASAN_OPTIONS="detect
   "$python" run.py -p no:cacheprovider -c "$root/pyproject.toml" --rootdir "$root" \
   "$root/tests/laws/test_twins.py" "$root/tests/laws/test_tiles.py" "$root/tests/laws/test_branch_and_bound_laws.py" \
   "$root/tests/unit/kernels/test_threads.py" "$root/tests/unit/matching/test_branch_and_bound.py" \
-  "$root/tests/laws/test_weighing_laws.py" "$root/tests/unit/grid/test_far_maps.py" "$root/tests/fuzz/test_kernels.py" \
+  "$root/tests/unit/grid/test_far_maps.py" "$root/tests/fuzz/test_kernels.py" \
   "$@" ||
   { cat "$work"/report* >&2 2> /dev/null; exit 1; }

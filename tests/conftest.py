@@ -33,7 +33,7 @@ TIERS = {
 }
 """Tests of another tier than the default, by where they are."""
 
-FIXTURES = {"data_dir": "real_logs", "s3": "dev", "web": "dev", "mirror": "dev"}
+FIXTURES = {"data_dir": "real_logs", "store": "dev", "web": "dev", "mirror": "dev"}
 """The same by what they take: real logs, and servers whose clients are libraries of the extra dev."""
 
 

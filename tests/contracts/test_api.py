@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ast
+import io
 import re
 from dataclasses import dataclass
 from functools import partial
@@ -11,6 +12,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from PIL import Image
 
 import gridslam
 from gridslam import errors
@@ -19,9 +21,10 @@ from gridslam.config import override
 from gridslam.evaluation import absolute_errors
 from gridslam.io.carmen.writer import write_carmen
 from gridslam.io.trajectories import read_tum
-from gridslam.particles import Residual
+from gridslam.localization import MonteCarloLocalization
+from gridslam.particles import Residual, Systematic
 from gridslam.pipeline import Stopwatch
-from gridslam.types import SensorModel
+from gridslam.types import LaserScan, OccupancyGrid, Odometry, ScanGeometry, SensorModel, Trajectory
 
 
 def test_public_names_stand_in_the_stub_alone():
@@ -168,3 +171,136 @@ def test_every_call_that_reads_a_log_takes_its_path_or_the_open_log(log, simulat
 def test_what_is_no_log_of_landmarks_is_told(read):
     with pytest.raises(gridslam.ArgumentError, match="log: expected str, Path or a log as open_landmark_log gives it"):
         read(7)
+
+
+GEOMETRY = ScanGeometry(np.linspace(-1.0, 1.0, 5))
+RANGES, STATUS = np.full(5, 2.0), np.zeros(5, np.uint8)
+SCAN = LaserScan.from_ranges(0, RANGES, GEOMETRY)
+ODOMETRY = Odometry.at(0, (0.0, 0.0, 0.0))
+SLAM = gridslam.GridFastSlam(particles=2)
+WEIGHTS = np.full(4, 0.25)
+
+
+def room() -> OccupancyGrid:
+    """A box of walls about free space."""
+    odds = np.full((20, 20), -3.0, np.float32)
+    odds[0] = odds[-1] = odds[:, 0] = odds[:, -1] = 3.0
+    return OccupancyGrid(odds, np.ones(odds.shape, bool), 0.1, (-1.0, -1.0))
+
+
+MCL = MonteCarloLocalization(gridslam.KnownMap(room()))
+
+
+@pytest.mark.parametrize("seed", [0, None, "rng"])
+def test_a_seed_is_no_generator(seed):
+    for call in (
+        lambda: gridslam.run([(ODOMETRY, SCAN)], SLAM, rng=seed),
+        lambda: SLAM.step(SLAM.init(ODOMETRY, SCAN)[0], ODOMETRY, SCAN, seed),
+        lambda: MCL.step(MCL.init(), ODOMETRY, SCAN, seed),
+        lambda: Systematic()(WEIGHTS, 4, seed),
+    ):
+        with pytest.raises(
+            gridslam.ArgumentError, match=rf"rng: expected a numpy\.random\.Generator, .*, got {seed!r}"
+        ):
+            call()
+
+
+def test_a_refused_call_does_not_consume_the_state():
+    state, _ = SLAM.init(ODOMETRY, SCAN)
+    for arguments in ((ODOMETRY, SCAN, 0), (SCAN, ODOMETRY, np.random.default_rng(0))):
+        with pytest.raises(gridslam.ArgumentError):
+            SLAM.step(state, *arguments)
+    SLAM.step(state, ODOMETRY, SCAN, np.random.default_rng(0))
+
+
+@pytest.mark.parametrize(
+    ("call", "message"),
+    [
+        (lambda: SLAM.init(SCAN, ODOMETRY), "odometry: expected Odometry or None, got a LaserScan"),
+        (lambda: SLAM.init(ODOMETRY, ODOMETRY), "scan: expected LaserScan, got a Odometry"),
+        (lambda: SLAM.init(ODOMETRY, SCAN, "all"), "particles: expected a number, or finite poses of shape"),
+        (lambda: SLAM.init(ODOMETRY, SCAN, 2.5), "particles: expected a number, or finite poses of shape"),
+        (lambda: SLAM.init(ODOMETRY, SCAN, (0.0, 0.0, 0.0), 30), "particles: expected a number, or finite poses"),
+        (lambda: SLAM.init(ODOMETRY, SCAN, 2, "here"), "pose: expected"),
+        (lambda: SLAM.step(SCAN, ODOMETRY, SCAN, RNG), "state: expected GridFastSlamState, got a LaserScan"),
+        (lambda: SLAM.step(SLAM.init(None, SCAN), ODOMETRY, SCAN, RNG), "state: expected GridFastSlamState, got a tu"),
+        (lambda: MCL.step(MCL.init(), SCAN, ODOMETRY, RNG), "odometry: expected Odometry or None, got a LaserScan"),
+        (lambda: gridslam.run("intel.clf.bz2", SLAM, rng=RNG), r"source: expected measurements.*got 'intel.clf.bz2'"),
+        (lambda: gridslam.run(7, SLAM, rng=RNG), r"source: expected measurements.*got 7"),
+        (lambda: gridslam.run([SCAN], SLAM, rng=RNG), r"source: expected measurements.*got a LaserScan"),
+        (lambda: gridslam.map_log("a.clf", repair="some"), "repair: expected needed or none, got some"),
+    ],
+)
+def test_arguments_of_other_kinds_are_told(call, message):
+    with pytest.raises(gridslam.ArgumentError, match=message):
+        call()
+
+
+RNG = np.random.default_rng(0)
+
+
+@pytest.mark.parametrize(
+    ("make", "message"),
+    [
+        (lambda: LaserScan(0, RANGES[:4], STATUS, GEOMETRY), r"ranges: expected shape \(5,\), got \(4,\)"),
+        (lambda: LaserScan(0, RANGES, STATUS[:4], GEOMETRY), r"status: expected shape \(5,\), got \(4,\)"),
+        (lambda: LaserScan(0, RANGES, np.full(5, 3, np.uint8), GEOMETRY), "status: expected values of BeamStatus"),
+        (lambda: LaserScan(0, RANGES, STATUS, GEOMETRY, -1.0), "range_min_m: expected a finite number >= 0, got -1"),
+        (lambda: LaserScan(0, RANGES, STATUS, GEOMETRY, np.nan), "range_min_m: expected a finite number >= 0, got nan"),
+        (lambda: LaserScan(0, RANGES, STATUS, GEOMETRY, 1.0, -2.0), "range_max_m: expected a number > range_min_m, 1,"),
+        (lambda: LaserScan(0, RANGES, STATUS, GEOMETRY, 0.0, np.nan), "range_max_m: expected a number > range_min_m"),
+        (lambda: LaserScan(0, RANGES, STATUS, GEOMETRY, beam_times_s=RANGES[:1]), "beam_times_s: expected shape"),
+        (lambda: LaserScan.from_ranges(0, RANGES, GEOMETRY, range_min_m=-0.1), "range_min_m: expected a finite"),
+        (lambda: LaserScan.from_ranges(0, [[1.0]], GEOMETRY), r"ranges: expected shape \(5,\)"),
+        (lambda: ScanGeometry([0.0, np.nan]), "bearings: expected finite angles in rad"),
+        (lambda: ScanGeometry([0.0], np.full((4, 4), np.nan)), "base_from_laser: expected finite numbers"),
+        (lambda: ScanGeometry([0.0], np.diag([1.0, 1.0, 1.0, np.nan])), "base_from_laser: expected finite numbers"),
+        (lambda: ScanGeometry.planar([0.0], (0.0, 0.0)), r"base_from_laser: expected shape \(3,\)"),
+        (lambda: Odometry(0, np.array([0.0, np.inf, 0.0])), "pose: expected finite x, y, theta"),
+        (lambda: Trajectory(np.array([0]), np.zeros((1, 2))), r"poses: expected shape \(1, 3\)"),
+        (lambda: OccupancyGrid(np.zeros((2, 2)), np.ones((2, 3), bool), 0.1, (0, 0)), "known: expected shape"),
+        (lambda: OccupancyGrid(np.zeros((2, 2)), np.ones((2, 2), bool), 0.0, (0, 0)), "resolution_m: expected a fini"),
+    ],
+)
+def test_values_that_contradict_themselves_are_refused(make, message):
+    with pytest.raises(gridslam.ArgumentError, match=message):
+        make()
+
+
+@pytest.fixture(scope="module")
+def mapped(log):
+    return gridslam.map_log(log, particles=2)
+
+
+@pytest.fixture(scope="module")
+def results(log, mapped, park, tmp_path_factory):
+    folder = tmp_path_factory.mktemp("landmarks")
+    landmarks = gridslam.map_landmarks(park[0], "ekf")
+    landmarks.save(folder / "out")
+    return {
+        "MapResult": mapped,
+        "LocalizationResult": gridslam.localize(log, mapped.map, pose=np.zeros(3)),
+        "GridResult": gridslam.map_with_poses(log, mapped.trajectory),
+        "LandmarkResult": landmarks,
+        "LandmarkLocalizationResult": gridslam.localize_by_landmarks(park[0], folder / "out" / "landmarks.csv"),
+    }
+
+
+def empty_grid(shape=(0, 0)):
+    return gridslam.OccupancyGrid(np.zeros(shape, np.float32), np.zeros(shape, bool), 0.05, (0.0, 0.0))
+
+
+def test_a_grid_is_shown_as_map_files_have_it(mapped):
+    grid = mapped.map
+    pixels = np.asarray(Image.open(io.BytesIO(grid._repr_png_())))
+    assert pixels.shape == grid.known.shape
+    assert ((pixels == 205) == ~grid.known[::-1]).all()
+    assert ((pixels < 100) <= (grid.log_odds > 0)[::-1]).all()
+    assert (pixels[(grid.log_odds > 2)[::-1] & grid.known[::-1]] < 50).all()
+    large = empty_grid((5, 3001))
+    large.known[2, 1500] = True
+    large.log_odds[2, 1500] = 5.0
+    shrunk = np.asarray(Image.open(io.BytesIO(large._repr_png_())))
+    assert max(shrunk.shape) <= 1000
+    assert (shrunk < 50).any()  # a wall of one cell is still there
+    assert empty_grid()._repr_png_() is None

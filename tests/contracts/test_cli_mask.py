@@ -86,7 +86,7 @@ def test_a_run_is_planned_by_its_end_points_and_its_edits(call, tmp_path):
     assert edited["made_from"] == "end points"
     assert edited["walls_length_m"] > whole["walls_length_m"] + 0.7 * np.ptp([low[1], high[1]])
     # A robot is localized in the map as it was drawn, and goes on mapping from that.
-    options = "--initial-pose", "0,0,0", "--particles", "300", "--duration", "30"
+    options = "--initial-pose", "0,0,0", "--particles", "300", "--duration", "10"
     for name, source in (("edited", carried), ("plain", out / "map.yaml")):
         assert call("localize", log, "--map", source, "-o", tmp_path / f"in_{name}", *options)[0] == 0
         mapped = "-o", tmp_path / f"on_{name}", "--no-history", "--particles", "3"

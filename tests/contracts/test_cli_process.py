@@ -88,7 +88,7 @@ def test_further_interrupts_print_no_traceback(log, tmp_path, pause_s):
 
 @pytest.mark.parametrize(
     ("command", "closed"),
-    [("map", (1,)), ("map", (0, 1, 2)), ("--version", (1,)), ("missing", (2,)), ("batch", (0, 1, 2))],
+    [("map", (0, 1, 2)), ("--version", (1,)), ("missing", (2,)), ("batch", (0, 1, 2))],
 )
 def test_closed_streams_change_nothing(log, tmp_path, command, closed):
     out = tmp_path / "out"
@@ -119,15 +119,14 @@ def test_a_full_device_is_named_as_output_and_never_minded_as_error(log, tmp_pat
 ASCII = {"PYTHONUTF8": "0", "LC_ALL": "C"}
 
 
-@pytest.mark.parametrize("environment", [ASCII, {}])
-def test_logs_of_any_name_in_any_locale(log, tmp_path, environment):
+def test_logs_of_any_name_in_any_locale(log, tmp_path):
     name = "\udcff\n.clf.bz2"
     os.link(log, tmp_path / name)
     few = ["--duration", "2"]
-    commands = [["map", name, "-o", "ä", "--save", "ü.gridslam", "--particles", "2", *few]]
-    if environment:
-        commands += [["doctor", name, "-o", "ä", *few], ["batch", name, "-o", "ö", "--", "--particles", "2", *few]]
-    for arguments in commands:
+    mapped = ["map", name, "-o", "ä", "--save", "ü.gridslam", "--particles", "2", *few]
+    checked = ["doctor", name, "-o", "ä", *few]
+    batch = ["batch", name, "-o", "ö", "--", "--particles", "2", *few]
+    for arguments, environment in ((mapped, {}), (checked, ASCII), (batch, ASCII)):
         command = [*GRIDSLAM, *map(os.fsencode, arguments)]
         done = subprocess.run(command, capture_output=True, cwd=tmp_path, env={**os.environ, **environment})
         assert (done.returncode, b"Traceback" in done.stderr) == (0, False), (arguments, done.stderr)

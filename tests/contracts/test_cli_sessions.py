@@ -80,16 +80,6 @@ def test_what_was_moved_stays_apart_or_is_found_and_merging_is_written(call, log
     assert "the filter has ended" in out
 
 
-def test_a_known_map_is_gone_on_from(call, logs, monday, tmp_path):
-    assert call("map", logs / "monday.clf", "-o", tmp_path / "map", *FEW)[0] == 0
-    prior = tmp_path / "map" / "map.yaml"
-    status, out, _ = call(
-        "map", logs / "tuesday.clf", "-o", tmp_path / "out", *FEW, "--prior", prior, "--pose", "0,0,0"
-    )
-    assert status == 0
-    assert "relocalized in the given map" in out or "given map), which stay apart" in out
-
-
 @pytest.mark.parametrize(
     ("options", "problem"),
     [

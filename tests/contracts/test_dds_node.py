@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import time
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -15,8 +14,7 @@ cyclonedds = pytest.importorskip("cyclonedds", reason="Cyclone DDS (the extra ro
 
 from gridslam.io.sessions.session_file import read_session  # noqa: E402
 from gridslam.sim import LidarConfig, OdometryNoise, RobotConfig, make_world, simulate  # noqa: E402
-from support.dds_peer import Node, Peer, Robot, free_domain, got, transforms, until  # noqa: E402
-from support.ros_node import mounting, odometry_message, scan_message  # noqa: E402
+from support.dds_peer import Node, Peer, Robot, free_domain, got, until  # noqa: E402
 
 PATIENT = "-p", "particles:=4", "-p", "map_update_interval:=0.3", "-p", "queue:=60.0", "-p", "transform_wait:=60.0"
 
@@ -102,29 +100,3 @@ def test_services_answer(running):
     assert read_session(running.folder / "out" / "session.gridslam").run is not None
     asked(peer, "gridslam/reset", "std_srvs/Empty", 0)
     assert running.node.says("starting a new map: reset")
-
-
-@pytest.mark.parametrize("times", [pytest.param(20, marks=pytest.mark.long), 2])
-def test_a_node_maps_at_once_though_the_static_transform_is_old(drive, tmp_path, times, record_property):
-    """Within a second from its start to `mapping`, beside a robot that has stood there for long."""
-    domain = free_domain()
-    robot = Robot(Peer(domain))
-    robot.fixed.write(transforms(robot.peer, [mounting()]))
-    took = []
-    for _ in range(times):
-        node = Node(domain, tmp_path / "node.log", "--ros-args", "-p", "particles:=4")
-        try:
-            assert node.says("waiting for scans"), node.log.read_text()
-            begin = time.monotonic()
-            while not node.says("mapping", seconds=0.0):
-                assert time.monotonic() < begin + 20
-                shift = time.time_ns() - drive[0].scan.stamp_ns
-                robot.moving.write(transforms(robot.peer, [odometry_message(drive[0], shift)]))
-                robot.send(scan_message(drive[0], shift))
-                time.sleep(0.025)
-            took.append(time.monotonic() - begin)
-            assert node.end() == 0
-        finally:
-            node.kill()
-    record_property("from its start to `mapping`, s", [round(one, 2) for one in took])
-    assert max(took) < 1.0, took

@@ -1,5 +1,8 @@
 """The kernels of landmark filters: their NumPy twins, and the sensors' own Jacobians."""
 
+import math
+from itertools import pairwise
+
 import numpy as np
 import pytest
 
@@ -7,6 +10,7 @@ from gridslam.kernels import reference
 from gridslam.kernels.reference_landmarks import DEPTH_BEARING, RANGE_BEARING, RELATIVE_POSITION
 from gridslam.models.landmark import DepthBearing, RangeBearing, RelativePosition, linearize_calibrated
 from gridslam.models.motion import GaussianIncrement
+from gridslam.slam.loop_closure.rows import Rows
 
 compiled = pytest.importorskip("gridslam.kernels._compiled")
 
@@ -123,3 +127,165 @@ def test_many_poses_have_the_covariances_of_each_alone(is_isotropic):
     motion, poses = GaussianIncrement.with_covariance(rng.normal(size=3), covariance), rng.normal(size=(150, 3))
     alone = np.concatenate([motion.moments(pose[None])[1] for pose in poses])
     np.testing.assert_allclose(motion.moments(poses)[1], alone, atol=1e-12)
+
+
+@pytest.mark.parametrize("kernels", [compiled, reference], ids=["compiled", "reference"])
+@pytest.mark.parametrize(("n", "m", "words"), [(7, 5, 4), (1, 9, 1), (0, 3, 4), (3, 0, 4)])
+def test_distances_count_the_bits_that_differ(kernels, n, m, words):
+    rng = np.random.default_rng(n)
+    a, b = (rng.integers(0, 2**64, (rows, words), dtype=np.uint64) for rows in (n, m))
+    counted = [[sum((x ^ y).bit_count() for x, y in zip(r, s, strict=True)) for s in b.tolist()] for r in a.tolist()]
+    found = kernels.hamming_distances(a, b)
+    assert found.dtype == np.int32
+    assert found.tolist() == counted
+
+
+def belief(seed, count=300):
+    """Poses about two places, one of them at a heading of a half turn, where it jumps; weights of a sum of 1."""
+    rng = np.random.default_rng(seed)
+    poses = rng.normal(size=(count, 3)) * [0.4, 0.4, 0.3] + [3.0, -7.0, math.pi]
+    poses[: int(count * 0.15 * seed)] += [30.0, 0.0, 1.0]
+    poses[:, 2] = (poses[:, 2] + math.pi) % math.tau - math.pi
+    weights = rng.exponential(size=count)
+    return poses, weights / weights.sum()
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_mean_shift_is_that_of_the_twin(seed):
+    poses, weights = belief(seed)
+    near = np.hypot(*(poses[:, :2] - poses[-1, :2]).T) < 0.7
+    ours, theirs = (k.mean_shift(poses, weights, near, poses[-1], 1.0, 0.5, 3) for k in (compiled, reference))
+    for one, other in zip(ours, theirs, strict=True):
+        np.testing.assert_allclose(one, other, rtol=1e-9, atol=1e-12)
+
+
+@BOTH
+def test_the_moment_is_that_of_the_cluster_alone_or_of_all(kernels):
+    """Weighted covariances by NumPy: what is far counts where the cluster has no more than half of the weight."""
+    for seed, counted in ((2, "cluster"), (5, "all")):
+        poses, weights = belief(seed)
+        poses[:, 2] = np.random.default_rng(1).normal(size=len(poses)) * 0.05
+        far = poses[:, 0] > 20
+        centre, in_cluster, mass, squares, moment = kernels.mean_shift(poses, weights, ~far, poses[-1], 5.0, 3.0, 40)
+        assert in_cluster == pytest.approx(weights[~far].sum())
+        assert (in_cluster > 0.5) == (counted == "cluster")
+        kept = ~far if counted == "cluster" else np.ones(len(poses), bool)
+        assert (mass, squares) == pytest.approx((weights[kept].sum(), np.square(weights[kept]).sum()))
+        np.testing.assert_allclose(centre, np.average(poses[~far], axis=0, weights=weights[~far]), atol=1e-9)
+        away = poses[kept] - centre
+        np.testing.assert_allclose(moment, (weights[kept, None] * away).T @ away, atol=1e-9)
+
+
+@BOTH
+def test_poses_on_marked_cells(kernels):
+    rng = np.random.default_rng(3)
+    mask, corner = rng.random((20, 30)) < 0.5, np.array([-4.0, 2.5])
+    rows, columns = rng.integers(-4, 25, 500), rng.integers(-4, 35, 500)
+    poses = np.column_stack([corner + (np.column_stack([columns, rows]) + rng.uniform(0.01, 0.99, (500, 2))) / 4] * 2)
+    marked = kernels.are_true(mask, corner, 4.0, np.ascontiguousarray(poses[:, :3]))
+    inside = (rows >= 0) & (rows < 20) & (columns >= 0) & (columns < 30)
+    expected = [bool(i and mask[r, c]) for i, r, c in zip(inside, rows, columns, strict=True)]
+    assert marked.dtype == np.bool_
+    assert marked.tolist() == expected
+    assert 100 < sum(expected) < 300
+
+
+@BOTH
+def test_what_is_no_number_or_beyond_all_numbers_is_on_no_cell(kernels):
+    nowhere = np.array([[np.nan, 0.5, 0], [0.5, np.inf, 0], [-np.inf, np.nan, 0], [1e300, 1e300, 0]])
+    with np.errstate(invalid="ignore", over="ignore"):
+        marked = kernels.are_true(np.ones((4, 4), bool), np.zeros(2), 20.0, nowhere)
+    assert marked.tolist() == [False] * 4
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_slots_are_those_of_the_twin(seed):
+    """Also where points lie on ends, before all and beyond them, and in slots that are empty."""
+    rng = np.random.default_rng(seed)
+    ends = np.cumsum(rng.integers(0, 3, 50)).astype(np.float64)
+    points = np.sort(np.append(rng.uniform(-1, ends[-1] + 1, 200), rng.choice(ends, 30)))
+    slots = [kernels.slots_of(ends, points) for kernels in (compiled, reference)]
+    assert slots[0].dtype == slots[1].dtype == np.int64
+    np.testing.assert_array_equal(slots[0], slots[1])
+    assert slots[0].tolist() == [int((ends <= point).sum()) for point in points]
+    assert compiled.slots_of(ends, points[:0]).shape == (0,)
+
+
+def random_graph(rng, submaps=40, links=30):
+    """A walk with links between its submaps, some pairs twice; moments are those of positions alone."""
+    firsts = np.column_stack([rng.uniform(-20, 20, (submaps, 2)), rng.uniform(-np.pi, np.pi, submaps)])
+    ends = rng.integers(0, submaps, (links, 2))
+    ends = ends[ends[:, 0] != ends[:, 1]].astype(np.int32)
+    steps = np.zeros((submaps - 1, 9))
+    steps[:, 0] = steps[:, 2] = rng.uniform(0.1, 1.0, submaps - 1)
+    values = np.zeros((len(ends), 12))
+    values[:, :3] = rng.normal(size=(len(ends), 3))
+    values[:, 3] = values[:, 5] = rng.uniform(0.05, 0.5, len(ends))
+    return firsts, steps, ends, values
+
+
+def least_variances(steps, ends, values, begin, limit):
+    """Of the position at each submap, by relaxing all edges again and again."""
+    cost = np.full(len(steps) + 1, np.inf)
+    cost[begin] = 0.0
+    edges = [(a, b, 2 * v) for (a, b), v in zip(ends.tolist(), values[:, 3].tolist(), strict=True)]
+    edges += [e for (a, b), v in zip(pairwise(range(len(cost))), steps[:, 0].tolist(), strict=True)
+              for e in ((a, b, 2 * v), (b, a, 2 * v))]  # fmt: skip
+    for _ in cost:
+        for a, b, v in edges:
+            if cost[a] + v < min(cost[b], limit):
+                cost[b] = cost[a] + v
+    return cost
+
+
+@pytest.mark.parametrize("kernels", [compiled, reference], ids=["compiled", "reference"])
+@pytest.mark.parametrize("seed", range(8))
+def test_ways_are_the_least_uncertain(seed, kernels):
+    rng = np.random.default_rng(seed)
+    firsts, steps, ends, values = random_graph(rng)
+    begin = int(rng.integers(len(firsts)))
+    found, moments, _ = kernels.shortest_ways(
+        firsts, steps, ends, values, begin, np.zeros(9), firsts[begin], 1.0, 2.0, 4.0, 100, -1
+    )
+    expected = least_variances(steps, ends, values, begin, 4.0)
+    assert set(found.tolist()) == set(np.flatnonzero(np.isfinite(expected)).tolist())
+    assert 5 < len(found) <= len(firsts)
+    np.testing.assert_allclose(moments[:, 0] + moments[:, 2], expected[found], atol=1e-12)
+    assert (np.diff(expected[found]) >= -1e-12).all()
+
+
+@pytest.mark.parametrize("seed", range(8))
+@pytest.mark.parametrize(("most", "last"), [(100, -1), (7, -1), (100, 3)])
+def test_the_kernel_finds_what_its_twin_finds(seed, most, last):
+    """In the same order, headings' moments included, and to the last bits of sine and cosine where the key scan is."""
+    rng = np.random.default_rng(seed)
+    firsts, steps, ends, values = random_graph(rng)
+    for moments in (steps, values[:, 3:]):
+        headings = rng.uniform(0, 0.01, len(moments))
+        places = rng.uniform(-20, 20, (len(moments), 2))
+        moments[:, 3] = headings
+        moments[:, 4:6] = headings[:, None] * places
+        moments[:, 6:] = headings[:, None] * places[:, [0, 0, 1]] * places[:, [0, 1, 1]]
+    begin = int(rng.integers(len(firsts)))
+    start = (begin, rng.uniform(0, 1e-3, 9), rng.normal(size=3), *rng.uniform(-20, 20, 2).tolist(), 9.0, most, last)
+    one, other = (kernels.shortest_ways(firsts, steps, ends, values, *start) for kernels in (compiled, reference))
+    np.testing.assert_array_equal(one[0], other[0])
+    np.testing.assert_array_equal(one[1], other[1])
+    np.testing.assert_allclose(one[2], other[2], rtol=0, atol=1e-12)
+    assert len(one[0]) <= most
+    assert last < 0 or last not in one[0][:-1]
+
+
+def test_rows_grow_as_one_array():
+    rows = Rows(2, np.int32)
+    expected = [(k, -k) for k in range(100)]
+    for row in expected:
+        rows.append(row)
+    twin = rows.copy()
+    rows.array[0] = 7
+    np.testing.assert_array_equal(twin.array, expected)
+    assert rows.array[0].tolist() == [7, 7]
+    rows.clear()
+    assert len(rows) == 0
+    assert rows.array.shape == (0, 2)
+    assert len(twin) == 100

@@ -46,8 +46,8 @@ KERNELS = (
     "parse_numbers",
     "format_rows",
 )
-"""Those from `max_pyramid` on in `test_branch_and_bound_laws.py`, `test_weighing_laws.py`, `test_many_scans_laws.py`,
-`test_shortest_ways_laws.py`, `test_landmark_kernels.py` and `test_number_laws.py`."""
+"""Those from `max_pyramid` on in `test_branch_and_bound_laws.py`, `test_many_scans_laws.py`, `test_landmark_kernels.py`
+and `test_number_laws.py`."""
 SEEDS = range(10)
 CELL = 0.05
 SINGLE = 4e-4

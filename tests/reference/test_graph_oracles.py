@@ -86,19 +86,6 @@ def test_g2o_finds_the_same_minimum(seed, false):
 
 
 @pytest.mark.parametrize("seed", SEEDS)
-def test_gtsam_finds_the_same_minimum(seed):
-    """GTSAM's error is the logarithm of ours, which differs from it by half the heading's error, some percent of it."""
-    gtsam = pytest.importorskip("gtsam")
-    graph = random_graph(np.random.default_rng(seed)).graph
-    factors, values = to_gtsam(gtsam, graph)
-    found = gtsam.LevenbergMarquardtOptimizer(factors, values).optimize()
-    ours = GraphSlam(tolerance=1e-10).solve(graph)
-    assert ours.chi2_after <= graph.chi2(from_gtsam(found)) * (1 + 1e-9)
-    assert ours.chi2_after == pytest.approx(graph.chi2(from_gtsam(found)), rel=0.01)
-    assert ours.chi2_after == pytest.approx(2 * factors.error(found), rel=0.05)
-
-
-@pytest.mark.parametrize("seed", SEEDS)
 def test_gtsam_tells_the_same_covariances(seed):
     """GTSAM's are of the moving frame: turned to the map frame by the pose's heading."""
     gtsam = pytest.importorskip("gtsam")

@@ -13,13 +13,15 @@ import numpy as np
 import pytest
 
 from gridslam.config import Configuration, build, override
-from gridslam.evaluation import PoseErrors, absolute_errors
+from gridslam.evaluation import PoseErrors, absolute_errors, relative_errors_by_distance
+from gridslam.geometry.se2 import between
 from gridslam.io.measurement import Measurement
 from gridslam.observers import TrajectoryRecorder
 from gridslam.pipeline import run
 from gridslam.sim import LidarConfig, OdometryNoise, RobotConfig, SimulatedLog, World, make_world, simulate
 from gridslam.sim.floor_plan import box, join
 from gridslam.types import LaserScan, ScanGeometry, Trajectory
+from simulated import map_drive
 
 CONFIG = override(Configuration(), "particles=8")
 
@@ -108,3 +110,20 @@ def test_scans_taken_while_turning_at_three_radians_a_second():
     log = recorded(lidar(rate_hz=10.0, scan_time_s=0.1, reports_beam_times=True), quick)
     error = mapped(log.measurements, log.truth)
     assert error.rot_rmse_deg < 1.2
+
+
+def test_a_laser_of_short_range_is_better_than_its_odometry():
+    """Of the same world in which the final trajectory errs by 0.8 of the odometry where that has no weight."""
+    lidar = LidarConfig(beams=240, field_of_view_rad=math.radians(240), range_max_m=4.0, sigma_range_m=0.02)
+    rng = np.random.default_rng(201)
+    log = simulate(make_world("random", rng), RobotConfig(), OdometryNoise(), lidar, np.random.default_rng(201))
+    _, full = map_drive(log.measurements, Configuration(), 0)
+    odometry = np.array([reading.pose for reading, _ in log.measurements])
+    odometry_m, final_m = (
+        relative_errors_by_distance(
+            Trajectory(log.truth.stamps_ns, between(poses[0], poses)), log.truth, 1.0
+        ).trans_rmse_m
+        for poses in (odometry, full.poses)
+    )
+    assert odometry_m == pytest.approx(0.022, abs=0.001)
+    assert final_m < 0.76 * odometry_m

@@ -1,4 +1,4 @@
-"""Covariances of simulated drives are of the errors' size, in buildings and in bare corridors."""
+"""Covariances of simulated drives are of the errors' size, in buildings and in corridors."""
 
 from __future__ import annotations
 
@@ -8,7 +8,6 @@ import pytest
 from covariances import judge
 from gridslam.config import Configuration
 from gridslam.slam.full_slam import surface_adjustment
-from support.corridors import drive
 
 pytestmark = pytest.mark.long
 
@@ -36,14 +35,3 @@ def test_scans_that_count_fully_in_each_of_their_pairs_are_found_out(monkeypatch
     """They have 9.1 in random buildings, beyond the band."""
     monkeypatch.setattr(surface_adjustment, "share_information", lambda pairs: np.ones(len(pairs)))
     assert averages("random", Configuration())["final_nees"] > 1.5 * LARGEST
-
-
-@pytest.mark.parametrize(("length_m", "range_m"), [(10.0, 5.0), (40.0, 10.0), (40.0, 30.0)])
-def test_along_bare_corridors_the_way_is_the_odometrys_and_reported(length_m, range_m):
-    """Three drives each; the odometry is off by up to 1.4 % itself."""
-    for seed in range(20, 23):
-        found = drive(length_m, range_m, seed)
-        assert found.online == pytest.approx(found.odometry, abs=0.03)
-        assert found.full == pytest.approx(1.0, abs=0.03)
-        assert found.flagged_blind > 0.9
-        assert found.flagged_seen < 0.1

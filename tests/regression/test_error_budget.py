@@ -3,6 +3,7 @@
 import pytest
 
 from error_budget import judge
+from floor_plans import VARIANTS, failures, map_building, score_variants, summarize
 
 
 @pytest.fixture(scope="module")
@@ -36,3 +37,29 @@ def test_a_corridor_is_as_long_as_it_is():
     final = judge("corridor", 7)["final"]
     assert final[0] < 0.02
     assert final[2] < 0.01
+
+
+@pytest.fixture(scope="module")
+def summaries():
+    """Of a building that the benchmark has not, by variant."""
+    scores = score_variants(map_building("rooms", 7))
+    return {name: summarize([scores[name]]) for name in VARIANTS}
+
+
+def test_walls_doors_and_rooms_are_where_they_are(summaries):
+    summary = summaries["end points"]
+    assert not failures(summary)
+    assert summary["offset_m"] < 0.01
+    assert summary["door_recall"] > 0.9
+    assert summary["door_precision"] > 0.9
+
+
+def test_cells_alone_find_walls_to_a_cell(summaries):
+    summary = summaries["cells"]
+    assert summary["wall_precision"] > 0.9
+    assert 0.005 < summary["offset_m"] < 0.03
+
+
+@pytest.mark.parametrize(("worse", "noticed"), [("noisy", "doors_within_5_cm"), ("undivided", "rooms_right")])
+def test_what_makes_it_worse_is_noticed(summaries, worse, noticed):
+    assert noticed in failures(summaries[worse])

@@ -2,15 +2,19 @@
 
 from __future__ import annotations
 
+from functools import cache
+
 import numpy as np
 import pytest
 
+import half_mapped as benchmark
 from gridslam.evaluation.consistency import nees
 from gridslam.localization import KnownMap, MonteCarloConfiguration, MonteCarloLocalization
 from gridslam.localization.match_covariance import MatchCovariance
 from gridslam.localization.place_verification import PlaceVerification
 from gridslam.matching.gauss_newton import GaussNewton
 from gridslam.models.endpoint import LikelihoodField
+from half_mapped import SCANS, localize_from
 from support.global_localization import Building, GlobalRun
 from support.localization_consistency import ALIKE, WORLDS, buildings, describe_covariances, describe_finds
 from support.localization_world import RandomWalk, drive, flat_map
@@ -49,7 +53,7 @@ def test_nees_of_the_belief_with_the_simulators_true_noise(known):
 def test_nees_of_the_matched_pose():
     """Tracked in an office by default parameters, with seeds by which nothing was chosen.
 
-    The errors of a map are common to the scans of a place, so few of the 1000 scans are independent: the band is that
+    The errors of a map are common to the scans of a place, so few of the 500 scans are independent: the band is that
     of `test_covariances_in_five_buildings`, with a margin. The belief, which was reported before, is far too wide (NEES
     0.1), and rounding without residuals far too narrow.
     """
@@ -59,9 +63,9 @@ def test_nees_of_the_matched_pose():
         tracked = [building.track(300 + run, configuration=parts) for run in range(runs)]
         return float(GlobalRun.joined(tracked).nees.mean())
 
-    assert 1.5 < average(MonteCarloConfiguration(), 6) < 5
-    assert average(MonteCarloConfiguration(matcher=GaussNewton(max_iterations=0)), 2) < 1.5
-    assert average(MonteCarloConfiguration(match_covariance=MatchCovariance(patch_m=0.01, residual_factor=0)), 2) > 5
+    assert 1.5 < average(MonteCarloConfiguration(), 3) < 5
+    assert average(MonteCarloConfiguration(matcher=GaussNewton(max_iterations=0)), 1) < 1.5
+    assert average(MonteCarloConfiguration(match_covariance=MatchCovariance(patch_m=0.01, residual_factor=0)), 1) > 5
 
 
 @pytest.mark.long
@@ -105,10 +109,10 @@ def test_a_place_is_verified_before_it_counts_as_found():
 
 
 def test_who_is_told_to_be_found_is_there(known):
-    """From nothing, 10 seeds: of all scans at which the robot is said to be found, and of all at which it is lost."""
+    """From nothing, 5 seeds: of all scans at which the robot is said to be found, and of all at which it is lost."""
     mcl, doubt, wrong, lost = MonteCarloLocalization(known), [], [], []
-    for seed in range(10):
-        log, rng, state = drive(seed % 5 + 1), np.random.default_rng(seed), mcl.init()
+    for seed in range(5):
+        log, rng, state = drive(seed + 1), np.random.default_rng(seed), mcl.init()
         for (odometry, scan), truth in zip(log.measurements[:45], log.truth.poses, strict=False):
             state, report = mcl.step(state, odometry, scan, rng)
             doubt.append(report.lost_probability)
@@ -132,3 +136,30 @@ def test_where_places_look_alike_nobody_is_told_to_be_found_where_it_is_not():
         assert run.false < 0.05
     both = GlobalRun.joined(runs)
     assert both.doubt[both.wrong].min() > 0.2
+
+
+half_mapped = cache(benchmark.half_mapped)
+
+
+def test_a_robot_outside_what_is_mapped_is_not_found_somewhere_in_it():
+    """Where a fix does not ask for the outside, 76 scans of this drive are localized in wrong places."""
+    known, drive = half_mapped("random", 13)
+    counts = localize_from(known, drive, len(drive.measurements) // 4, 13)
+    assert counts["found_inside"] + counts["found_outside"] > SCANS // 10
+    assert counts["wrong"] <= 10, "a place that looks like another one may be told for two seconds"
+
+
+def test_a_robot_that_leaves_the_map_is_found_where_it_comes_back():
+    """It was looked for in the whole map there, found in an equal room at 84 scans, and half as often where it was."""
+    known, drive = half_mapped("rooms", 2)
+    counts = localize_from(known, drive, 33, 33)
+    assert counts["wrong"] == 0
+    assert counts["found_inside"] > 0.8 * counts["inside"]
+
+
+def test_where_places_look_alike_for_longer_a_place_is_found_later():
+    """Outside, this robot was found twice, after 14 m and after 15.6 m, in a mapped corridor like the one it was in."""
+    known, drive = half_mapped("random", 13)
+    counts = localize_from(known, drive, 597, 597)
+    assert counts["wrong"] == 0
+    assert counts["found_inside"] > 100

@@ -5,7 +5,6 @@ from __future__ import annotations
 import asyncio
 import itertools
 import json
-import random
 import sys
 from collections.abc import Awaitable, Callable
 from contextlib import suppress
@@ -40,15 +39,6 @@ async def viewer() -> None:
             await socket.send(json.dumps({"do": "ack"}))
 
 
-async def archive() -> None:
-    """Ask for the map."""
-    reader, writer = await asyncio.open_connection("127.0.0.1", PORT)
-    writer.write(b"GET /map.zip HTTP/1.1\r\nHost: 127.0.0.1\r\nConnection: close\r\n\r\n")
-    await reader.read()
-    next(COUNT)
-    writer.close()
-
-
 async def slow_archive() -> None:
     """Ask for the map, and read a byte in a second."""
     reader, writer = await asyncio.open_connection("127.0.0.1", PORT, limit=1)
@@ -58,26 +48,10 @@ async def slow_archive() -> None:
         await asyncio.sleep(1)
 
 
-async def malformed() -> None:
-    """Send bytes that are no frames until the connection is closed."""
-    dice = random.Random(next(COUNT))
-    reader, writer = await asyncio.open_connection("127.0.0.1", PORT)
-    key = b"GET /socket HTTP/1.1\r\nHost: 127.0.0.1\r\nUpgrade: websocket\r\nConnection: Upgrade\r\n"
-    writer.write(key + b"Sec-WebSocket-Key: AAAAAAAAAAAAAAAAAAAAAA==\r\nSec-WebSocket-Version: 13\r\n\r\n")
-    while not reader.at_eof():
-        writer.write(dice.randbytes(dice.randrange(1, 200)))
-        next(COUNT)
-        await writer.drain()
-        await asyncio.sleep(0)
-    writer.close()
-
-
 KINDS = {
     "1,100 idle connections": [(idle, 1100)],
     "200 viewers": [(viewer, 200)],
     "slow readers": [(slow_archive, 100)],
-    "20 clients at /map.zip": [(archive, 20)],
-    "malformed frames": [(malformed, 50)],
 }
 
 

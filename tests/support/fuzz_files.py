@@ -1,31 +1,23 @@
 """Small healthy files of every format, damaged at random with stated seeds, and what readers make of them.
 
-Each case is read in a process of its own, forked from this one, that may take 6 GB of addresses and 20 s of CPU time.
-It passes where the file is read, or refused by an error that names it; whatever else comes (another exception, a
-signal, more than 2 GB, no end) is a failure.
+Each case is read in a process of its own. It passes where the file is read, or refused by an error that names it;
+whatever else comes (another exception, a signal, more than 2 GB, no end) is a failure.
 """
 
 from __future__ import annotations
 
 import bz2
-import csv
-import faulthandler
 import gzip
 import io
 import json
 import math
 import os
-import resource
-import signal
-import warnings
 import zlib
-from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import redirect_stderr, redirect_stdout, suppress
 from dataclasses import dataclass
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import Any, NamedTuple
 
 import numpy as np
 from PIL import Image
@@ -46,9 +38,8 @@ from gridslam.io.landmark_logs import open_landmark_log
 from gridslam.io.log import LogOptions, open_log
 from gridslam.io.maps import read_map, write_map
 from gridslam.io.ros_parameters import read_parameter_file
-from gridslam.io.sessions.session_file import read_session
 from gridslam.io.trajectories import read_relations, read_trajectory, read_trajectory_csv, read_tum
-from gridslam.live.history_file import HISTORY_NAME, read_history
+from gridslam.live.history_file import HISTORY_NAME
 from gridslam.live.replay import Replay
 from gridslam.localization import KnownMap
 from gridslam.messages import Messages
@@ -58,27 +49,11 @@ from gridslam.slam.pose_graph.graph_slam import GraphSlam
 from gridslam.slam.pose_graph.pose_graph import PoseGraph
 from support import ros_bags
 from support.broken_logs import OF_BYTES, OF_TEXT, damage, drive_about, whole_logs
+from support.changes import FLOATS, change_array, change_json
+from support.children import run_in_child
 from support.fuzz_images import MAP_YAML, images
 from support.fuzz_page import page_requests
 from support.recorded import map_with_history
-
-CPU_LIMIT_S = 20  # of CPU time
-_PATIENCE_S = 120  # for what waits; and other processes may be at work
-MEMORY_LIMIT_BYTES = 2 << 30
-_ADDRESSES = 6 << 30
-_SPECIAL_INTEGERS = (0, -1, 1, 255, 10**6, 2**31 - 1, -(2**31), 2**62)
-_SPECIAL_FLOATS = (math.nan, math.inf, -math.inf, 1e308, -1e30, 1e15, 1e9, 1e6, 1e-300, 0.0, -1.0)
-_MIXED: tuple[Any, ...] = (
-    None, True, -1, 0, 999, 10**30, 1e308, -1e12, "", "x", "nan", [], [1], {}, [[]], {"key_scans": 5}
-)  # fmt: skip
-
-
-class Outcome(NamedTuple):
-    """What came of a case: "read", "refused", or what failed; CPU time and memory of its process."""
-
-    verdict: str
-    seconds: float
-    bytes: int
 
 
 @dataclass(frozen=True)
@@ -89,8 +64,6 @@ class Family:
     ----------
     name : str
         What is damaged.
-    point : int
-        Point of the report of hostile input that it belongs to; 0 for readers in general.
     prepare : callable
         Writes a case's files to an empty folder; gets the folder and the random generator of the case.
     read : callable
@@ -100,77 +73,52 @@ class Family:
     """
 
     name: str
-    point: int
     prepare: Callable[[Path, np.random.Generator], None]
     read: Callable[[Path], object]
     weight: float = 1.0
 
 
-def run_cases(chosen: Sequence[Family], cases: int, seed: int, folder: Path) -> dict[str, list[tuple[int, Outcome]]]:
-    """Run `cases` cases, shared out by weight; the numbers of the cases of each family, and what came of them.
+def run_cases(chosen: Sequence[Family], cases: int, seed: int, folder: Path) -> dict[str, list[str]]:
+    """Run `cases` cases, shared out by weight; the verdicts of each family: "read", "refused", or what failed.
 
     Case k of a family has the generator `numpy.random.default_rng([seed, crc32 of the family's name, k])`.
     """
     total = sum(family.weight for family in chosen)
-    found: dict[str, list[tuple[int, Outcome]]] = {}
+    found: dict[str, list[str]] = {}
     for family in chosen:
         name = zlib.crc32(family.name.encode())
         count = max(1, round(cases * family.weight / total))
-        found[family.name] = [
-            (number, _run_case(family, np.random.default_rng([seed, name, number]), folder)) for number in range(count)
-        ]
+        rngs = (np.random.default_rng([seed, name, number]) for number in range(count))
+        found[family.name] = [_run_case(family, rng, folder) for rng in rngs]
     return found
 
 
-def _run_case(family: Family, rng: np.random.Generator, folder: Path) -> Outcome:
+def failures(found: dict[str, list[str]]) -> list[str]:
+    """Each case that failed, by its family and number."""
+    return [
+        f"{name}, case {number}: {verdict}"
+        for name, verdicts in found.items()
+        for number, verdict in enumerate(verdicts)
+        if verdict not in ("read", "refused")
+    ]
+
+
+def _run_case(family: Family, rng: np.random.Generator, folder: Path) -> str:
     with TemporaryDirectory(dir=folder) as aside:
         family.prepare(Path(aside), rng)
-        receiver, sender = os.pipe()
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore")  # of other threads, that the case does not need
-            process = os.fork()
-        if not process:
-            os.close(receiver)
-            _read_in_child(family, Path(aside), sender)
-        os.close(sender)
-        with open(receiver, "rb") as pipe:
-            verdict = pipe.read().decode("utf-8", "replace")
-        _, status, used = os.wait4(process, 0)
-        seconds = used.ru_utime + used.ru_stime
-    if os.WIFSIGNALED(status):
-        number = os.WTERMSIG(status)
-        hangs = number in (signal.SIGALRM, signal.SIGXCPU)
-        verdict = f"hang: not done after {CPU_LIMIT_S} s" if hangs else signal.Signals(number).name
-    elif used.ru_maxrss * 1024 > MEMORY_LIMIT_BYTES and verdict in ("read", "refused"):
-        verdict = "memory: more than 2 GB"
-    return Outcome(verdict, seconds, used.ru_maxrss * 1024)
+        return run_in_child(lambda: _read(family, Path(aside)))
 
 
-def _read_in_child(family: Family, folder: Path, sender: int) -> None:
-    """Read a case's files, and send the verdict; never returns."""
-    verdict = "no verdict"
+def _read(family: Family, folder: Path) -> str:
+    """Read a case's files; the verdict."""
+    os.dup2(os.open(os.devnull, os.O_WRONLY), 2)
     try:
-        faulthandler.disable()
-        signal.signal(signal.SIGALRM, signal.SIG_DFL)
-        signal.alarm(_PATIENCE_S)
-        resource.setrlimit(resource.RLIMIT_CPU, (CPU_LIMIT_S, CPU_LIMIT_S + 5))
-        resource.setrlimit(resource.RLIMIT_AS, (_ADDRESSES, _ADDRESSES))
-        resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
-        warnings.simplefilter("ignore")
-        os.dup2(os.open(os.devnull, os.O_WRONLY), 2)
         family.read(folder)
-        verdict = "read"
     except (InputError, ConfigurationError) as error:
         text = str(error)
         named = isinstance(error, ConfigurationError) or str(folder) in text
-        verdict = "refused" if named and "\n" not in text else f"unnamed: {text[:200]}"
-    except MemoryError:
-        verdict = "memory: MemoryError"
-    except BaseException as error:  # whatever it is, it is the verdict
-        verdict = f"{type(error).__name__}: {str(error)[:200]}"
-    finally:
-        os.write(sender, verdict.encode("utf-8", "replace"))
-        os._exit(0)
+        return "refused" if named and "\n" not in text else f"unnamed: {text[:200]}"
+    return "read"
 
 
 def families(folder: Path) -> list[Family]:
@@ -178,9 +126,7 @@ def families(folder: Path) -> list[Family]:
     folder.mkdir(exist_ok=True)
     makers = (
         _logs,
-        _stamps,
         _names,
-        _streams,
         _tables,
         _graphs,
         _landmark_logs,
@@ -225,7 +171,7 @@ def _logs(folder: Path) -> Iterator[Family]:
         assert len(poses) == log.statistics.scan_count > 0
         assert np.isfinite(poses).all()
 
-    yield Family("logs", 0, prepare, read, 6)
+    yield Family("logs", prepare, read, 6)
 
     def run_commands(where: Path) -> None:
         (path,) = where.iterdir()
@@ -239,7 +185,7 @@ def _logs(folder: Path) -> Iterator[Family]:
         if any(statuses):
             raise InputError(path, "refused")
 
-    yield Family("commands", 0, prepare, run_commands, 2)
+    yield Family("commands", prepare, run_commands, 2)
 
 
 def _run_command(log: Path, *words: object) -> int:
@@ -250,41 +196,6 @@ def _run_command(log: Path, *words: object) -> int:
     *_, last = ["", *told.getvalue().splitlines()]
     assert status == 0 or (status == 2 and str(log) in last), f"status {status}: {last}"
     return status
-
-
-def _stamps(folder: Path) -> Iterator[Family]:
-    """Healthy scans under stamps that mean nothing: they are mapped by their order, without odometry."""
-    log = (folder / "logs" / "log.csv").read_bytes().decode().splitlines()
-    rows = list(csv.reader(log))
-    place = rows[0].index("stamp_s")
-
-    def prepare(to: Path, rng: np.random.Generator) -> None:
-        count = len(rows) - 1
-        n = np.arange(count)
-        stamps = [
-            1000 - 0.2 * n,
-            1e6 * n,
-            np.zeros(count),
-            rng.permutation(n) * 0.2,
-            np.where(n < rng.integers(count), 1e9, -1e9) + n,
-            rng.uniform(-9e9, 9e9, count),
-            0.2 * n - rng.uniform(0, 3) * (n % rng.integers(2, 5)),
-            -0.2 * n * rng.uniform(0, 10),
-        ][rng.integers(8)]
-        text = io.StringIO()
-        writer = csv.writer(text, lineterminator="\n")
-        writer.writerow(rows[0])
-        for row, stamp in zip(rows[1:], stamps.tolist(), strict=True):
-            writer.writerow([*row[:place], f"{stamp:.6f}", *row[place + 1 :]])
-        (to / "log.csv").write_text(text.getvalue())
-
-    def read(where: Path) -> None:
-        options = LogOptions(no_odometry=True)
-        result = map_log(open_log(where / "log.csv", options), configuration=FEW)
-        assert len(result.trajectory.poses) == len(rows) - 1
-        assert np.isfinite(result.trajectory.poses).all()
-
-    yield Family("stamps", 2, prepare, read)
 
 
 def _names(folder: Path) -> Iterator[Family]:
@@ -299,26 +210,7 @@ def _names(folder: Path) -> Iterator[Family]:
 
     def prepare(to: Path, rng: np.random.Generator) -> None:
         kind = ("db3", "mcap", "ros1")[rng.integers(3)]
-        pieces = [
-            "%",
-            "%41",
-            "%2F",
-            "#",
-            "?",
-            "&",
-            "=",
-            " ",
-            "'",
-            '"',
-            "mode=rw",
-            "ä",
-            "~",
-            "a",
-            "%00",
-            "%zz",
-            ";",
-            "+",
-        ]
+        pieces = ("%", "%41", "%2F", "%00", "%zz", "mode=rw", *"#?&= '\"ä~a;+")
         name = "".join(pieces[k] for k in rng.integers(len(pieces), size=rng.integers(1, 5)))
         for other in ("A", "a", name.split("?")[0].split("#")[0], name.replace("%41", "A")):
             with suppress(OSError, ValueError):
@@ -331,29 +223,7 @@ def _names(folder: Path) -> Iterator[Family]:
         count = sum(1 for _ in log)
         assert count == 20, f"another file was read: {count} scans"
 
-    yield Family("names", 8, prepare, read)
-
-
-def _streams(folder: Path) -> Iterator[Family]:
-    """Pipes, devices and directories in the place of files."""
-    readers: list[Callable[[Path], object]] = [
-        open_log, read_tum, read_g2o, read_map, read_session, read_history, open_landmark_log,
-        read_relations, read_parameter_file, read_trajectory_csv
-    ]  # fmt: skip
-
-    def prepare(to: Path, rng: np.random.Generator) -> None:
-        what = rng.integers(3)
-        if what == 0:
-            os.mkfifo(to / "file")
-        else:
-            (to / "file").symlink_to(("/dev/zero", "/dev/null")[what - 1])
-        (to / "reader.txt").write_text(str(rng.integers(len(readers))))
-
-    def read(where: Path) -> None:
-        readers[int((where / "reader.txt").read_text())](where / "file")
-        raise AssertionError("a stream was accepted")
-
-    yield Family("streams", 9, prepare, read)
+    yield Family("names", prepare, read)
 
 
 def _tables(folder: Path) -> Iterator[Family]:
@@ -398,7 +268,7 @@ def _tables(folder: Path) -> Iterator[Family]:
         def read_one(where: Path, name: str = name, read: Callable[[Path], object] = read) -> None:  # type: ignore[assignment]
             read(where / name)
 
-        yield Family(f"table {name[2:]}", 0, prepare, read_one)
+        yield Family(f"table {name[2:]}", prepare, read_one)
 
 
 def _graphs(folder: Path) -> Iterator[Family]:
@@ -444,8 +314,8 @@ def _graphs(folder: Path) -> Iterator[Family]:
             raise AssertionError(f"a graph of edges alone was refused: {error}") from None
         assert chi2 < 1e-6, f"chi2 {chi2}"
 
-    yield Family("graphs", 0, prepare, read, 2)
-    yield Family("graphs of edges alone", 14, prepare_edges, read_edges)
+    yield Family("graphs", prepare, read, 2)
+    yield Family("graphs of edges alone", prepare_edges, read_edges)
 
 
 def _landmark_logs(folder: Path) -> Iterator[Family]:
@@ -491,8 +361,8 @@ def _landmark_logs(folder: Path) -> Iterator[Family]:
         result = map_landmarks(log, method, particles=None if method == "ekf" else 5)
         assert np.isfinite(result.trajectory.poses).all()
 
-    yield Family("Victoria Park", 13, prepare_park, read, 2)
-    yield Family("MRCLAM", 0, prepare_mrclam, read, 2)
+    yield Family("Victoria Park", prepare_park, read, 2)
+    yield Family("MRCLAM", prepare_mrclam, read, 2)
 
 
 def _maps(folder: Path) -> Iterator[Family]:
@@ -517,7 +387,7 @@ def _maps(folder: Path) -> Iterator[Family]:
         if what == 0:
             lines = yaml.split(b"\n")
             row = int(rng.integers(1, len(lines) - 1))
-            number = f"{_SPECIAL_FLOATS[rng.integers(len(_SPECIAL_FLOATS))]}".encode()
+            number = f"{FLOATS[rng.integers(len(FLOATS))]}".encode()
             pose = [number if place == rng.integers(3) else b"0" for place in range(3)]
             lines[row] = lines[row].split(b":")[0] + b": " + (b"[" + b", ".join(pose) + b"]" if row == 2 else number)
             yaml = b"\n".join(lines)
@@ -529,11 +399,11 @@ def _maps(folder: Path) -> Iterator[Family]:
         with suppress(ArgumentError):  # a map without walls, which the command refuses by its file
             KnownMap(grid)
 
-    yield Family("maps", 0, prepare, read, 3)
+    yield Family("maps", prepare, read, 3)
 
 
 def _edits(folder: Path) -> Iterator[Family]:
-    """Edits of a map: their text is damaged, or values in it are exchanged for others."""
+    """Edits of a map: their text is damaged, or a value in it is exchanged for another."""
     places = np.array([[0.2, -1.8], [1.2, -1.7], [1.1, -0.5], [0.1, -0.6]])
     points = {"Point": places[:1], "LineString": places[:2], "Polygon": places}
     drawn = tuple(
@@ -544,20 +414,14 @@ def _edits(folder: Path) -> Iterator[Family]:
     text = Edits(drawn, "map.yaml", "").to_text()
     image = np.full((40, 50), 254, np.uint8)
 
-    def exchange(tree: Any, rng: np.random.Generator) -> Any:
-        if rng.random() < 0.004:
-            return [*_MIXED, *_SPECIAL_INTEGERS, *(f for f in _SPECIAL_FLOATS if math.isfinite(f))][rng.integers(28)]
-        if isinstance(tree, dict):
-            return {key: exchange(value, rng) for key, value in tree.items()}
-        return [exchange(value, rng) for value in tree] if isinstance(tree, list) else tree
-
     def prepare(to: Path, rng: np.random.Generator) -> None:
         Image.fromarray(image).save(to / "map.pgm")
         (to / "map.yaml").write_text(MAP_YAML)
         if rng.random() < 0.5:
             (to / "edits.geojson").write_bytes(damage(text.encode(), OF_TEXT, rng)[0])
         else:
-            (to / "edits.geojson").write_text(json.dumps(exchange(json.loads(text), rng)))
+            document = json.loads(text)
+            (to / "edits.geojson").write_text(json.dumps(change_json(document, rng) if rng.integers(2) else document))
 
     def read(where: Path) -> None:
         edits = read_edits(where / "edits.geojson")
@@ -567,7 +431,7 @@ def _edits(folder: Path) -> Iterator[Family]:
         with suppress(ArgumentError):  # limits of two units, which the command refuses by the file
             make_speed_mask(grid, edits)
 
-    yield Family("edits", 0, prepare, read, 2)
+    yield Family("edits", prepare, read, 2)
 
 
 def _plans(folder: Path) -> Iterator[Family]:
@@ -587,38 +451,7 @@ def _plans(folder: Path) -> Iterator[Family]:
         (path,) = where.iterdir()
         read_drawn_plan(path).surfaces(0.02)
 
-    yield Family("plans", 0, prepare, read, 2)
-
-
-def _change_array(arrays: dict[str, Any], rng: np.random.Generator) -> None:
-    """Change one array: its values, type or shape, or leave it out."""
-    name = sorted(arrays)[rng.integers(len(arrays))]
-    values = np.array(arrays[name])
-    what = rng.integers(8)
-    flat = values.reshape(-1)
-    if what == 0:
-        del arrays[name]
-    elif what == 1:
-        arrays[name] = flat[: max(len(flat) - 1, 0)]
-    elif what == 2:
-        arrays[name] = values.astype(np.float32) if values.dtype.kind in "iuf" else np.array(5)
-    elif what == 3:
-        arrays[name] = np.zeros((2, *values.shape), values.dtype)
-    elif not len(flat):
-        arrays[name] = np.zeros(3, values.dtype)
-    elif values.dtype.kind == "f":
-        flat[rng.integers(len(flat))] = _SPECIAL_FLOATS[rng.integers(len(_SPECIAL_FLOATS))]
-        arrays[name] = values
-    elif values.dtype.kind in "iu":
-        number = _SPECIAL_INTEGERS[rng.integers(len(_SPECIAL_INTEGERS))]
-        flat[rng.integers(len(flat))] = np.array(number).astype(values.dtype)
-        arrays[name] = values
-    elif values.dtype.kind == "U":
-        text = str(flat[0])
-        place = int(rng.integers(len(text) + 1))
-        changed = [*map(str, flat)]
-        changed[0] = text[:place] + ("x", '"', "{", "9", "nan", "[[[")[rng.integers(6)] + text[place + 1 :]
-        arrays[name] = np.array(changed).reshape(values.shape)
+    yield Family("plans", prepare, read, 2)
 
 
 def _results(folder: Path) -> Iterator[Family]:
@@ -640,14 +473,14 @@ def _results(folder: Path) -> Iterator[Family]:
         for name, content in whole.items():
             (to / name).write_bytes(content)
         if chosen.endswith(".json") and rng.integers(4):
-            (to / chosen).write_text(json.dumps(_change_json(json.loads(whole[chosen]), rng)))
+            (to / chosen).write_text(json.dumps(change_json(json.loads(whole[chosen]), rng)))
         elif chosen == HISTORY_NAME and rng.integers(4):
             changed = dict(record)
-            _change_array(changed, rng)
+            change_array(changed, rng)
             with open(to / chosen, "wb") as file:
                 np.savez(file, **changed)
         elif chosen == "map.yaml" and rng.integers(2):
-            corner = _SPECIAL_FLOATS[rng.integers(len(_SPECIAL_FLOATS))]
+            corner = FLOATS[rng.integers(len(FLOATS))]
             (to / chosen).write_text(MAP_YAML.replace("-1.0", repr(corner)).replace("-2.0", "1e12"))
         else:
             kinds = OF_BYTES if chosen.endswith((".npz", ".pgm")) else OF_TEXT
@@ -661,49 +494,4 @@ def _results(folder: Path) -> Iterator[Family]:
             while viewer.next_message() is not None:
                 pass
 
-    yield Family("result folders", 13, prepare, read, 3)
-
-
-def _change_json(document: Any, rng: np.random.Generator) -> Any:
-    """Replace a value somewhere in a document."""
-    here = document
-    while True:
-        places: list[Any] = list(here) if isinstance(here, dict) else list(range(len(here)))
-        place = places[rng.integers(len(places))]
-        if "loop_closure" in places and rng.integers(2):
-            place = "loop_closure"
-        below = here[place]
-        if not (isinstance(below, dict | list) and below) or rng.integers(4) == 0:
-            here[place] = _MIXED[rng.integers(len(_MIXED))]
-            return document
-        here = below
-
-
-def summarize(found: dict[str, list[tuple[int, Outcome]]], chosen: Sequence[Family]) -> list[dict[str, Any]]:
-    """A row for each family: cases, verdicts, worst time and memory, and the failures by kind with one case each."""
-    rows = []
-    for family in chosen:
-        cases = found[family.name]
-        kinds: Counter[str] = Counter()
-        first: dict[str, str] = {}
-        for number, outcome in cases:
-            if outcome.verdict not in ("read", "refused"):
-                kind = outcome.verdict.partition(":")[0]
-                kinds[kind] += 1
-                first.setdefault(kind, f"case {number}: {outcome.verdict}")
-        verdicts = Counter(outcome.verdict for _, outcome in cases)
-        rows.append(
-            {
-                "family": family.name,
-                "point": family.point,
-                "cases": len(cases),
-                "read": verdicts["read"],
-                "refused": verdicts["refused"],
-                "failures": sum(kinds.values()),
-                "kinds": dict(kinds),
-                "examples": list(first.values()),
-                "longest_s": round(max(outcome.seconds for _, outcome in cases), 2),
-                "largest_mb": round(max(outcome.bytes for _, outcome in cases) / 1e6),
-            }
-        )
-    return rows
+    yield Family("result folders", prepare, read, 3)

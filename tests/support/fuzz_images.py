@@ -31,8 +31,8 @@ _EPS = (
 )
 
 
-def images(folder: Path) -> Iterator[tuple[str, int, Callable[..., None], Callable[[Path], object], float]]:
-    """Name, point of the report, the two functions and the weight of the family."""
+def images(folder: Path) -> Iterator[tuple[str, Callable[..., None], Callable[[Path], object], float]]:
+    """Name, the two functions and the weight of the family."""
     cells = np.random.default_rng(0).choice([0, 205, 254], (60, 70)).astype(np.uint8)
     Image.init()
     written: dict[str, bytes] = {}
@@ -49,7 +49,7 @@ def images(folder: Path) -> Iterator[tuple[str, int, Callable[..., None], Callab
         file = io.BytesIO()
         frames[0].save(file, form, save_all=True, append_images=frames[1:] * 20)
         written[f"{form} frames"] = file.getvalue()
-    yield "images", 5, partial(_prepare, written), _read, 2.0
+    yield "images", partial(_prepare, written), _read, 2.0
 
 
 def _prepare(written: dict[str, bytes], to: Path, rng: np.random.Generator) -> None:

@@ -32,6 +32,7 @@ from gridslam.live.page import LivePage
 from gridslam.live.replay import Replay
 from gridslam.live.server import PageServer
 from support.broken_logs import OF_BYTES, damage, drive_about
+from support.changes import choose
 
 _LONGEST_STALL_S = 1.0
 _PATIENCE_S = 0.15  # for an answer; most of what is malformed gets one at once
@@ -72,8 +73,8 @@ _KINDS = "ack", "pause", "resume", "step", "seek", "speed", "select", "robot", "
 _COMMANDS = "set_pose", "locate", "reset", "save", "", None, 7, []
 
 
-def page_requests(folder: Path) -> Iterator[tuple[str, int, Any, Any, float]]:
-    """Name, point of the report of hostile input, the two functions and the weight of each family."""
+def page_requests(folder: Path) -> Iterator[tuple[str, Any, Any, float]]:
+    """Name, the two functions and the weight of each family."""
     (folder / "page").mkdir(exist_ok=True)
     log = folder / "page" / "log.csv"
     write_csv_log(log, drive_about(30))
@@ -81,33 +82,29 @@ def page_requests(folder: Path) -> Iterator[tuple[str, int, Any, Any, float]]:
     result.save(folder / "page" / "out")
     (folder / "page" / "out" / "day.gridslam").write_bytes(bytes(300_000))
     for name, make in (("page: requests", _make_request), ("page: sockets", _make_socket)):
-        yield name, 8, partial(_write, make), partial(_visit, folder / "page" / "out", result), 2.0
-
-
-def _choose(rng: np.random.Generator, items: Any) -> Any:
-    return items[int(rng.integers(len(items)))]
+        yield name, partial(_write, make), partial(_visit, folder / "page" / "out", result), 2.0
 
 
 def _write(make: Callable[[np.random.Generator], tuple[bytes, bytes]], to: Path, rng: np.random.Generator) -> None:
     """Write what is sent over some connections, at once and after the first answer, and to what content."""
     sent = [[part.decode("latin-1") for part in make(rng)] for _ in range(4)]
-    (to / "case.json").write_text(json.dumps({"content": _choose(rng, ("replay", "live", "robot")), "sent": sent}))
+    (to / "case.json").write_text(json.dumps({"content": choose(rng, ("replay", "live", "robot")), "sent": sent}))
 
 
 def _make_request(rng: np.random.Generator) -> tuple[bytes, bytes]:
     """Return one or more requests, of which some part or all are malformed."""
     requests = b""
-    for _ in range(int(_choose(rng, (1, 1, 1, 3)))):
-        method = "GET" if rng.integers(2) else _choose(rng, _METHODS)
-        target = _choose(rng, _PATHS) + _choose(rng, _QUERIES)
-        version = "HTTP/1.1" if rng.integers(8) else _choose(rng, _VERSIONS)
-        headers = [("Host", "127.0.0.1" if rng.integers(2) else _choose(rng, _HOSTS))]
-        headers += [(_choose(rng, _NAMES), _choose(rng, _VALUES)) for _ in range(rng.integers(4))]
+    for _ in range(int(choose(rng, (1, 1, 1, 3)))):
+        method = "GET" if rng.integers(2) else choose(rng, _METHODS)
+        target = choose(rng, _PATHS) + choose(rng, _QUERIES)
+        version = "HTTP/1.1" if rng.integers(8) else choose(rng, _VERSIONS)
+        headers = [("Host", "127.0.0.1" if rng.integers(2) else choose(rng, _HOSTS))]
+        headers += [(choose(rng, _NAMES), choose(rng, _VALUES)) for _ in range(rng.integers(4))]
         if rng.integers(20) == 0:
             headers += [(f"X{k}", "x") for k in range(300)]
         requests += _join(f"{method} {target} {version}", headers)
         if rng.integers(3) == 0:
-            requests += _choose(rng, (b"body", b"5\r\nbody", b"zz\r\n", b"\r\n\r\n", bytes(5000), b"0\r\n\r\n"))
+            requests += choose(rng, (b"body", b"5\r\nbody", b"zz\r\n", b"\r\n\r\n", bytes(5000), b"0\r\n\r\n"))
     return damage(requests, OF_BYTES, rng)[0] if rng.integers(5) == 0 else requests, b""
 
 
@@ -127,14 +124,14 @@ def _make_socket(rng: np.random.Generator) -> tuple[bytes, bytes]:
     headers = dict(healthy)
     what = rng.integers(8)
     if what == 0:
-        headers[_choose(rng, list(healthy))] = _choose(rng, _VALUES)
+        headers[choose(rng, list(healthy))] = choose(rng, _VALUES)
     elif what == 1:
-        del headers[_choose(rng, list(healthy))]
+        del headers[choose(rng, list(healthy))]
     elif what == 2:
-        headers["Origin"] = _choose(rng, _ORIGINS)
+        headers["Origin"] = choose(rng, _ORIGINS)
     elif what == 3:
-        headers[_choose(rng, _NAMES)] = _choose(rng, _VALUES)
-    target = "/socket" + _choose(rng, _QUERIES) if rng.integers(6) else _choose(rng, _PATHS)
+        headers[choose(rng, _NAMES)] = choose(rng, _VALUES)
+    target = "/socket" + choose(rng, _QUERIES) if rng.integers(6) else choose(rng, _PATHS)
     handshake = _join(f"GET {target} HTTP/1.1", list(headers.items()))
     frames = b"".join(_make_frames(rng) for _ in range(rng.integers(1, 12)))
     return handshake, damage(frames, OF_BYTES, rng)[0] if frames and rng.integers(5) == 0 else frames
@@ -150,24 +147,24 @@ def _make_frames(rng: np.random.Generator) -> bytes:
         return b"".join(_frame(1, json.dumps({"do": "seek", "at": int(k)}).encode()) for k in range(rng.integers(300)))
     if what == 6:
         return _frame(1, text[:3], fin=False) + b"".join(
-            [_frame(0, b"", fin=False) * int(_choose(rng, (0, 1, 100))), _frame(0, text[3:])]
+            [_frame(0, b"", fin=False) * int(choose(rng, (0, 1, 100))), _frame(0, text[3:])]
         )
     if what == 7:
-        return _frame(9, bytes(int(_choose(rng, (0, 125, 126, 5000))))) * int(rng.integers(1, 200))
+        return _frame(9, bytes(int(choose(rng, (0, 125, 126, 5000))))) * int(rng.integers(1, 200))
     if what == 8:
         return _frame(int(rng.integers(16)), rng.bytes(int(rng.integers(200))), fin=bool(rng.integers(2)))
-    payload = _choose(rng, (*_PAYLOADS, rng.bytes(50)))
-    return _frame(int(_choose(rng, (1, 2, 8))), payload, masked=bool(rng.integers(5)))
+    payload = choose(rng, (*_PAYLOADS, rng.bytes(50)))
+    return _frame(int(choose(rng, (1, 2, 8))), payload, masked=bool(rng.integers(5)))
 
 
 def _make_command(rng: np.random.Generator) -> Any:
     if rng.integers(8) == 0:
-        return _choose(rng, _NUMBERS)
-    command = {"do": _choose(rng, _KINDS)}
+        return choose(rng, _NUMBERS)
+    command = {"do": choose(rng, _KINDS)}
     for name, values in (("at", _NUMBERS), ("factor", _NUMBERS), ("particle", _NUMBERS), ("pose", _NUMBERS)):
         if rng.integers(2):
-            command[name] = _choose(rng, values)
-    return command | ({"command": _choose(rng, _COMMANDS)} if rng.integers(2) else {})
+            command[name] = choose(rng, values)
+    return command | ({"command": choose(rng, _COMMANDS)} if rng.integers(2) else {})
 
 
 def _frame(opcode: int, payload: bytes, *, fin: bool = True, masked: bool = True) -> bytes:

@@ -1,17 +1,9 @@
-"""Every number of a configuration at its extremes: the run ends well or is refused by name, in bounded time and memory.
-
-A run is a child of this process, so that a signal, a hang or a full memory ends it alone.
-"""
+"""Every number of a configuration at its extremes: the run ends well or is refused by name, within bounds."""
 
 from __future__ import annotations
 
-import faulthandler
 import math
-import os
-import resource
-import signal
 import tempfile
-import traceback
 from collections import Counter
 from collections.abc import Iterator
 from dataclasses import dataclass, fields
@@ -28,9 +20,8 @@ from gridslam.errors import ConfigurationError, GridslamError
 from gridslam.io.carmen.writer import write_carmen
 from gridslam.parameters import Kind, adapter
 from gridslam.sim import LidarConfig, OdometryNoise, RobotConfig, make_world, simulate
+from support.children import run_in_child
 
-MOST_S = 20
-MOST_BYTES = 2_000_000_000
 VALUES = (0, -1, 1e-300, 1e-9, 1e9, 1e300, 2**63, 10**30)
 NOT_FINITE = (math.nan, math.inf)
 
@@ -113,34 +104,8 @@ def run_case(number: Number, value: float) -> str:
         return "refused" if named else f"refused, but not by name: {error}"
     except Exception as error:
         return f"{type(error).__name__}: {error}"
-    return _in_child(configuration)
-
-
-def _in_child(configuration: Configuration) -> str:
     log = _log()
-    reading, writing = os.pipe()
-    child = os.fork()
-    if child == 0:
-        os.close(reading)
-        faulthandler.disable()
-        resource.setrlimit(resource.RLIMIT_CPU, (MOST_S, MOST_S))  # other work on the machine adds nothing to it
-        signal.signal(signal.SIGALRM, signal.SIG_DFL)
-        signal.alarm(10 * MOST_S)
-        used = int(Path("/proc/self/statm").read_text().split()[0]) * os.sysconf("SC_PAGE_SIZE")
-        resource.setrlimit(resource.RLIMIT_AS, (used + 2 * MOST_BYTES,) * 2)
-        os.write(writing, _map(log, configuration).encode()[:4000])
-        os._exit(0)
-    os.close(writing)
-    with os.fdopen(reading, "rb") as pipe:
-        came = pipe.read().decode()
-    _, status, usage = os.wait4(child, 0)
-    if os.WIFSIGNALED(status):
-        name = signal.Signals(os.WTERMSIG(status)).name
-        hung = name in ("SIGALRM", "SIGXCPU", "SIGKILL")
-        return f"ran for more than {MOST_S} s" if hung else f"died of {name}"
-    if usage.ru_maxrss * 1024 > MOST_BYTES:
-        return f"{came}, but took {usage.ru_maxrss / 1e6:.1f} GB"
-    return came
+    return run_in_child(lambda: _map(log, configuration))
 
 
 def _map(log: Path, configuration: Configuration) -> str:
@@ -148,9 +113,6 @@ def _map(log: Path, configuration: Configuration) -> str:
         gridslam.map_log(log, configuration=configuration)
     except GridslamError:
         return "refused"
-    except BaseException as error:
-        where = traceback.extract_tb(error.__traceback__)[-1]
-        return f"{type(error).__name__}: {error} ({Path(where.filename).name}, line {where.lineno})"
     return "mapped"
 
 

@@ -1,4 +1,6 @@
+import importlib.util
 import math
+from dataclasses import asdict
 
 import numpy as np
 import pytest
@@ -7,12 +9,16 @@ from hypothesis import strategies as st
 
 from gridslam.errors import ArgumentError
 from gridslam.evaluation import (
+    Relations,
     absolute_errors,
     align,
     interpolate,
+    nees,
+    relation_errors,
     relative_errors_by_distance,
 )
-from gridslam.geometry.se2 import compose
+from gridslam.evaluation.maps import landmark_errors, pair_by_position
+from gridslam.geometry.se2 import compose, inverse, transform_points
 from gridslam.types import Trajectory
 
 SECOND = 1_000_000_000
@@ -102,3 +108,94 @@ def test_relative_errors_do_not_depend_on_the_frame(motion):
     here, there = (relative_errors_by_distance(t, truth, 2.0) for t in (estimate, moved))
     assert here.trans_rmse_m == pytest.approx(there.trans_rmse_m, abs=1e-9)
     assert here.rot_rmse_deg == pytest.approx(there.rot_rmse_deg, abs=1e-7)
+
+
+def test_nees_by_hand():
+    # Standard deviations 0.1, 0.2, 0.05 and errors of 1, 2 and 3 of them, the heading's across the seam.
+    covariance = np.diag([0.01, 0.04, 0.0025])[None]
+    got = nees(np.array([[1.1, 2.4, 0.1 - math.pi]]), np.array([[1.0, 2.0, math.pi - 0.05]]), covariance)
+    assert got == pytest.approx([1 + 4 + 9])
+    # Correlated: P = [[2, 1], [1, 2]] has the inverse [[2, -1], [-1, 2]] / 3, so e = (1, 1) gives 2/3.
+    correlated = np.array([[[2.0, 1.0, 0.0], [1.0, 2.0, 0.0], [0.0, 0.0, 1.0]]])
+    assert nees(np.array([[1.0, 1.0, 0.0]]), np.zeros((1, 3)), correlated) == pytest.approx([2 / 3])
+
+
+def test_claims_that_are_no_covariance_raise():
+    with pytest.raises(ArgumentError, match="positive definite"):
+        nees(np.zeros((1, 3)), np.zeros((1, 3)), np.diag([1.0, 1.0, -1.0])[None])
+
+
+TRUTH = np.array([[0.0, 0.0], [4.0, 0.0], [4.0, 0.3], [0.0, 5.0], [-3.0, 1.0]])
+
+
+@given(x=st.floats(-0.2, 0.2), y=st.floats(-0.2, 0.2), turn=st.floats(-0.05, 0.05))
+def test_pairs_by_place_are_found_from_a_near_guess_and_surplus_is_told(x, y, turn):
+    """0.2 m and 0.05 rad move no landmark by more than 0.6 m; the nearest two are 0.3 m apart."""
+    map_from_true = np.array([x, y, turn])
+    positions = np.concatenate([transform_points(map_from_true, TRUTH[[3, 2, 1, 4]]), [[20.0, 20.0]]])
+    ours, theirs = pair_by_position(positions, TRUTH, inverse(np.zeros(3)), reach_m=0.8)
+    errors = landmark_errors(positions, TRUTH, (ours, theirs))
+    assert (errors.found, errors.missing, errors.surplus) == (4, 1, 1)
+    if np.hypot(x, y) + 5 * abs(turn) < 0.15:  # then each is nearest to its own
+        assert dict(zip(ours.tolist(), theirs.tolist(), strict=True)) == {0: 3, 1: 2, 2: 1, 3: 4}
+        assert errors.rmse_m < 1e-9
+
+
+def test_errors_after_alignment():
+    moved = transform_points(np.array([5.0, -2.0, 1.0]), TRUTH)
+    everyone = np.arange(5), np.arange(5)
+    assert landmark_errors(moved, TRUTH, everyone).max_m < 1e-12
+    # A square's corners pushed outward by d are off by d each, however they are aligned.
+    square = np.array([[1.0, 1], [-1, 1], [-1, -1], [1, -1]])
+    found = landmark_errors(1.1 * square, square, (np.arange(4), np.arange(4)))
+    assert found.rmse_m == pytest.approx(0.1 * np.sqrt(2))
+    assert found.max_m == pytest.approx(0.1 * np.sqrt(2))
+
+
+def random_case(seed):
+    """A trajectory with jittering stamps, and relations of which a third fall between its poses."""
+    rng = np.random.default_rng(seed)
+    stamps = np.arange(200) * 200_000_000 + rng.integers(-150_000_000, 150_000_000, 200)
+    poses = np.cumsum(rng.normal(0, [0.3, 0.3, 0.5], (200, 3)), axis=0)
+    poses[:, 2] = (poses[:, 2] + math.pi) % (2 * math.pi) - math.pi
+    given_times, other_times = rng.choice(stamps, (60, 2)), rng.integers(SECOND, 39 * SECOND, (60, 2))
+    times = np.where(rng.random((60, 2)) < 0.67, given_times, other_times)
+    truth = rng.uniform([-5, -5, -math.pi], [5, 5, math.pi], (60, 3))
+    return Trajectory(stamps, poses), Relations(times[:, 0], times[:, 1], truth)
+
+
+@pytest.mark.parametrize("seed", range(10))
+def test_agrees_with_the_published_scorer(data_dir, seed):
+    path = data_dir.parent / "tools" / "relations.py"
+    spec = importlib.util.spec_from_file_location("relations_scorer", path)
+    scorer = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(scorer)
+    scorer.round = lambda value, _digits: value  # what it computes, not what it prints
+    trajectory, relations = random_case(seed)
+    order = np.argsort(trajectory.stamps_ns, kind="stable")
+    columns = np.zeros((len(relations.poses), 8))
+    columns[:, 0], columns[:, 1] = relations.from_ns / SECOND, relations.to_ns / SECOND
+    columns[:, 2:4], columns[:, 7] = relations.poses[:, :2], relations.poses[:, 2]
+    expected = scorer.score(trajectory.stamps_ns[order] / SECOND, trajectory.poses[order], columns)
+    got = asdict(relation_errors(trajectory, relations))
+    assert list(got) == list(expected)
+    assert 0.5 < got["exact"] < 0.9
+    for name, value in expected.items():
+        assert got[name] == pytest.approx(value, abs=1e-9), name
+
+
+# From (0, 0, 0) to (1, 2, pi/2) and on to (1, 5, pi): seen from the first (1, 2, pi/2), from the second (3, 0, pi/2).
+def test_numbers_by_hand():
+    trajectory = Trajectory(np.arange(3) * SECOND, np.array([[0, 0, 0], [1, 2, math.pi / 2], [1, 5, -math.pi]]))
+    truth = np.array([[1.3, 2.4, math.pi / 2], [3.0, -1.5, math.pi / 2 - math.radians(3)]])
+    got = relation_errors(trajectory, Relations(np.array([0, 1]) * SECOND, np.array([1, 2]) * SECOND, truth))
+    assert got.n == 2
+    assert got.exact == 1.0
+    assert [got.trans_mean_m, got.trans_std_m, got.trans_max_m] == pytest.approx([1.0, 0.5, 1.5], abs=1e-12)
+    assert [got.rot_mean_deg, got.rot_std_deg, got.rot_max_deg] == pytest.approx([1.5, 1.5, 3.0], abs=1e-9)
+
+
+def test_a_relation_outside_the_trajectory_raises():
+    trajectory = Trajectory(np.array([0, SECOND]), np.zeros((2, 3)))
+    with pytest.raises(ArgumentError, match="outside"):
+        relation_errors(trajectory, Relations(np.array([0]), np.array([SECOND + 1_100_000]), np.zeros((1, 3))))

@@ -3,16 +3,33 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy.special import chdtri
 
 from gridslam.geometry.angles import wrap
-from gridslam.localization import KnownMap
-from gridslam.localization.belief import estimate_pose, propagate_covariance
+from gridslam.localization import KnownMap, MonteCarloConfiguration, MonteCarloLocalization
+from gridslam.localization.belief import (
+    NO_HYPOTHESES,
+    HypothesisTracker,
+    PoseEstimate,
+    PoseHypotheses,
+    estimate_pose,
+    propagate_covariance,
+)
+from gridslam.localization.kld_sampling import KldSampling
 from gridslam.localization.recovery import AugmentedRecovery, InlierRatioAverages, MeasurementProposal
+from gridslam.matching.beam_order import BeamOrder
 from gridslam.models.endpoint import LikelihoodField
-from support.localization_world import drive, flat_map
+from gridslam.particles import Systematic
+from gridslam.sim import LidarConfig, OdometryNoise, RobotConfig, World, simulate
+from gridslam.sim.floor_plan import box, join
+from gridslam.types import Beams, LaserScan, OccupancyGrid, ScanGeometry
+from support.localization_world import drive, flat, flat_map
 
 TRUE = np.array([[0.01, 0.003, 0.0], [0.003, 0.02, 0.001], [0.0, 0.001, 0.004]])
 
@@ -92,3 +109,186 @@ def test_weights_of_drawn_poses_add_up_to_the_evidence():
             sums.append(np.exp(log_weights).sum())
         assert np.mean(sums) == pytest.approx(exact, abs=5 * np.std(sums) / math.sqrt(40))
         assert np.std(sums) < 0.3 * exact
+
+
+HERE = np.array([1.0, 1.0, 0.0])
+THERE = np.array([9.0, 5.0, 3.0])
+ALONE = PoseEstimate(HERE, np.eye(3) * 1e-4, 1.0)
+CLOUD, EVEN = HERE[None], np.ones(1)
+STILL = np.zeros(3)
+
+
+def agreeing(*places: tuple[np.ndarray, float]):
+    """A scan that agrees so much near each of these poses and not at all elsewhere."""
+
+    def agree(poses: np.ndarray) -> np.ndarray:
+        return sum(share * (np.hypot(*(poses[:, :2] - place[:2]).T) < 1) for place, share in places)
+
+    return agree
+
+
+FIXED = HypothesisTracker(jitter_m=0.0, jitter_rad=0.0)
+
+
+def followed(hypotheses: PoseHypotheses, agree, steps: int):
+    rng = np.random.default_rng(0)
+    for _ in range(steps):
+        hypotheses = FIXED(hypotheses, STILL, ALONE, CLOUD, EVEN, agree, rng)
+    return hypotheses
+
+
+def test_each_cluster_becomes_a_rival_but_that_which_is_told():
+    rng = np.random.default_rng(1)
+    poses = np.concatenate([place + 0.05 * rng.standard_normal((100, 3)) for place in (HERE, THERE, [4.0, 8.0, -1.0])])
+    weights = np.repeat([0.005, 0.004, 0.001], 100)
+    told = PoseEstimate(HERE, np.eye(3), 0.5)
+    agree = agreeing((HERE, 0.8), (THERE, 0.8), (np.array([4.0, 8.0, -1.0]), 0.8))
+    hypotheses = HypothesisTracker()(NO_HYPOTHESES, STILL, told, poses, weights, agree, rng)
+    np.testing.assert_allclose(hypotheses.poses, [THERE, [4.0, 8.0, -1.0]], atol=0.3)
+    np.testing.assert_array_equal(hypotheses.log_odds, 0)
+    assert hypotheses.odds == pytest.approx(2)
+    assert len(HypothesisTracker(max_hypotheses=1)(NO_HYPOTHESES, STILL, told, poses, weights, agree, rng).poses) == 1
+    assert len(HypothesisTracker(min_mass=0.2)(NO_HYPOTHESES, STILL, told, poses, weights, agree, rng).poses) == 1
+
+
+def test_what_looks_the_same_stays_and_what_looks_otherwise_goes():
+    rival = PoseHypotheses(THERE[None], np.zeros(1))
+    within = followed(rival, agreeing((HERE, 0.80), (THERE, 0.76)), 500)
+    np.testing.assert_array_equal(within.log_odds, 0)  # by less than the map's own errors, 500 times
+    once = followed(rival, agreeing((HERE, 0.8), (THERE, 0.4)), 1)
+    assert once.log_odds[0] == pytest.approx(-FIXED.log_odds_per_scan * (0.4 - FIXED.margin))
+    assert not len(followed(rival, agreeing((HERE, 0.8), (THERE, 0.4)), 3).poses)
+
+
+def symmetric_room() -> tuple[KnownMap, World]:
+    """8 m x 5 m, the same after half a turn; a map of exactly these walls."""
+    plan = [box(0, 0, 8, 5), box(1.0, 0.0, 2.0, 0.8), box(6.0, 4.2, 7.0, 5.0)]
+    cells = np.full((110, 170), -4.0, np.float32)
+    cells[4:6, 4:166] = cells[104:106, 4:166] = cells[4:106, 4:6] = cells[4:106, 164:166] = 4.0
+    cells[5:21, 25:45] = cells[89:105, 125:145] = 4.0
+    grid = OccupancyGrid(cells, np.ones(cells.shape, bool), 0.05, (-0.25, -0.25))
+    way = [(1.5, 1.5), (6.5, 1.0), (6.5, 3.5), (1.5, 4.0), (1.5, 1.5), (6.5, 1.0), (6.5, 3.5), (1.5, 4.0)]
+    return KnownMap(grid), World.of("symmetric room", join(*plan), way)
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_in_a_room_that_looks_the_same_after_half_a_turn_the_robot_stays_lost(seed):
+    known, world = symmetric_room()
+    log = simulate(world, RobotConfig(), OdometryNoise(), LidarConfig(rate_hz=3.0), np.random.default_rng(seed))
+    mcl, rng = MonteCarloLocalization(known), np.random.default_rng(seed)
+    state = mcl.init()
+    for (odometry, scan), truth in zip(log.measurements, log.truth.poses, strict=True):
+        state, report = mcl.step(state, odometry, scan, rng)
+        twin = np.array([8 - truth[0], 5 - truth[1], truth[2] + math.pi])
+        assert report.lost
+        for place in (truth, twin):  # 95 % of chi-square with two degrees of freedom: 6
+            away = (place - report.pose)[:2]
+            assert away @ np.linalg.solve(report.covariance[:2, :2], away) < 6
+    assert 0.3 < report.lost_probability < 0.7  # one of two
+
+
+@pytest.mark.parametrize("bins", [2, 3, 10, 100, 3000])
+def test_the_bound_is_the_chi_square_quantile(bins):
+    """n = chi^2_{k-1, 1-delta} / (2 eps), of which the formula is Wilson and Hilferty's approximation."""
+    kld = KldSampling(error=0.02, z=2.3263478740408408)
+    exact = chdtri(bins - 1, 0.01) / (2 * 0.02)
+    assert kld.bound(np.array(bins)) == pytest.approx(exact, rel=0.02 if bins < 10 else 0.004, abs=1)
+
+
+def test_one_bin_asks_for_nothing():
+    assert KldSampling().bound(np.array([0, 1])).tolist() == [0, 0]
+
+
+def one_by_one(kld: KldSampling, poses: np.ndarray, weights: np.ndarray, rng: np.random.Generator) -> int:
+    """The loop of Table 8.4, as the book has it."""
+    ends, full, m = np.cumsum(weights), set[int](), 0
+    bins = kld.bins(poses)
+    while True:
+        drawn = min(int(ends.searchsorted(rng.random() * ends[-1], side="right")), len(bins) - 1)
+        full.add(int(bins[drawn]))
+        m += 1
+        if m >= kld.particles_max or (m >= kld.bound(np.array(len(full))) and m >= kld.particles_min):
+            return m
+
+
+@given(st.integers(0, 2**32 - 1), st.floats(0.05, 3.0))
+@settings(max_examples=25, deadline=None)
+def test_as_many_as_the_table_draws_one_by_one(seed, width):
+    rng = np.random.default_rng(seed)
+    poses = rng.normal(size=(400, 3)) * [width, width, 0.3]
+    weights = rng.random(400) ** 4
+    kld = KldSampling(particles_min=20, particles_max=1500)
+    assert kld.size(poses, weights, np.random.default_rng(seed)) == one_by_one(
+        kld, poses, weights, np.random.default_rng(seed)
+    )
+
+
+def test_resampling_is_unbiased():
+    """Of M drawn a particle comes up M w times in the mean: 400 draws of 500 or so, by a sampler of low variance."""
+    rng = np.random.default_rng(3)
+    poses, weights = rng.normal(size=(50, 3)), rng.random(50)
+    weights /= weights.sum()
+    kld = KldSampling(particles_min=100, particles_max=2000)
+    shares = []
+    for seed in range(400):
+        parents = kld(poses, weights, Systematic(), np.random.default_rng(seed))
+        shares.append(np.bincount(parents, minlength=50) / len(parents))
+    # A count is floor or ceil of M w: its share has a deviation of at most 0.5 / 100, its mean over 400 of 2.5e-4.
+    np.testing.assert_allclose(np.mean(shares, axis=0), weights, atol=5 * 2.5e-4)
+
+
+LIDAR = LidarConfig(rate_hz=5.0, scan_time_s=0.15, reports_beam_times=True)
+RANGES = np.array([1.0, 2.0, 3.0])
+
+
+@pytest.fixture(scope="module")
+def known():
+    return KnownMap(flat_map())
+
+
+@pytest.fixture(scope="module")
+def log():
+    return simulate(flat(), RobotConfig(), OdometryNoise(), LIDAR, np.random.default_rng(3))
+
+
+def test_turning_scans_are_straightened_by_the_order_that_fits():
+    geometry = ScanGeometry(np.array([-0.5, 0.0, 0.5]))
+    scan = LaserScan.from_ranges(0, RANGES, geometry, range_max_m=30.0)
+    beams = replace(scan, beam_times_s=np.array([0.0, 0.05, 0.1])).beams(0.1, 29.0)
+    ends = {order: beams.deskew(order * np.array([0, 0, 1.0])).ends for order in (1, -1)} | {0: beams.ends}
+
+    def straightened(gains: dict[int, float], turn_rps: float) -> np.ndarray:
+        def share(one: Beams) -> float:
+            return 0.6 + gains[next(k for k, known in ends.items() if np.array_equal(one.ends, known))]
+
+        twist = np.array([0, 0, turn_rps])
+        return beams.deskew(BeamOrder().learn(beams, twist, share).best(0.05) * twist).ends
+
+    for gains, order in (
+        ({1: 0, 0: 0, -1: 0}, 1), ({1: 0, 0: 0.04, -1: 0.04}, 1), ({1: 0, 0: 0.1, -1: 0.2}, -1),
+        ({1: 0, 0: 0.2, -1: 0.1}, 0), ({1: 0.1, 0: 0, -1: 0.14}, 1),
+    ):  # fmt: skip
+        np.testing.assert_array_equal(straightened(gains, 1.0), ends[order])
+    slow = np.array([0, 0, 0.19])  # 0.019 rad in a scan
+    np.testing.assert_array_equal(straightened({}, 0.19), beams.deskew(slow).ends)
+
+
+def heading_rmse(known, log, order, margin):
+    """Of the pose that is told, in rad, where the driver tells `order` times the times of beams."""
+    mcl, rng = (
+        MonteCarloLocalization(known, MonteCarloConfiguration(beam_order_margin=margin)),
+        np.random.default_rng(0),
+    )
+    state, off = mcl.init_gaussian(log.truth.poses[0], np.diag([0.04, 0.04, 0.01]), rng), []
+    for (odometry, scan), truth in zip(log.measurements[:150], log.truth.poses, strict=False):
+        told = replace(scan, beam_times_s=order * scan.beam_times_s)
+        state, report = mcl.step(state, odometry, told, rng)
+        off.append(report.pose[2] - truth[2])
+    return float(np.sqrt(np.mean(np.square(wrap(np.array(off))))))
+
+
+def test_times_that_a_driver_tells_backward_do_not_turn_the_pose(known, log):
+    """At 1 rad/s a scan of 0.15 s is bent by 0.15 rad, and by as much again where it is straightened the wrong way."""
+    assert heading_rmse(known, log, -1.0, 1.0) > 0.05
+    assert heading_rmse(known, log, -1.0, 0.05) < 0.02
+    assert heading_rmse(known, log, 1.0, 0.05) < 1.1 * heading_rmse(known, log, 1.0, 1.0)

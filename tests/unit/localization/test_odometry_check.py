@@ -30,14 +30,13 @@ def follow(known, measurements, truth, configuration=None):
     return reports, metres
 
 
-@pytest.mark.parametrize(("name", "seed"), [("random", 61)])
-def test_odometry_that_counts_reverse_motion_as_forward_does_not_lose_the_robot(name, seed):
+def test_odometry_that_counts_reverse_motion_as_forward_does_not_lose_the_robot():
     """It leaves dead ends backward, for 10 m at a time. Unchecked it is lost at a third of the scans and more."""
-    building = Building.of(name, seed, backs_out=True).with_fault("unsigned_odometry")
-    run = building.track(seed)
+    building = Building.of("random", 61, backs_out=True).with_fault("unsigned_odometry")
+    run = building.track(61)
     assert not run.lost.any()
     assert not run.wrong.any()
-    assert building.track(seed, configuration=UNCHECKED).lost.mean() > 0.1
+    assert building.track(61, configuration=UNCHECKED).lost.mean() > 0.1
 
 
 def test_healthy_odometry_is_used_as_it_is(known):
@@ -79,10 +78,9 @@ def test_odometry_that_was_reset_or_freezes_does_not_lose_the_robot(known, fault
 
 
 @pytest.mark.parametrize("factors", [(-1, 1, 1), (1, 1, -1), (-1, -1, -1), (1, 1, 0.3)])
-@pytest.mark.parametrize("seed", [4])
-def test_odometry_that_is_wrong_throughout_does_not_lose_the_robot(known, factors, seed):
+def test_odometry_that_is_wrong_throughout_does_not_lose_the_robot(known, factors):
     """Its odometry counts so much of its motion in x, in y and of its turns."""
-    log = drive(seed, OdometryNoise(), rate_hz=5.0)
+    log = drive(4, OdometryNoise(), rate_hz=5.0)
     poses = np.array([m.odometry.pose for m in log.measurements])
     wrong = [poses[0]]
     for increment in between(poses[:-1], poses[1:]):
@@ -94,11 +92,10 @@ def test_odometry_that_is_wrong_throughout_does_not_lose_the_robot(known, factor
     assert metres[5:].max() < 0.2
 
 
-@pytest.mark.parametrize("seed", [1, 2])
-def test_a_mirrored_laser_does_not_find_a_place_by_its_own_motion(known, seed):
+def test_a_mirrored_laser_does_not_find_a_place_by_its_own_motion(known):
     """Its scans contradict all turns of the odometry, and the mirrored motion fits them."""
-    log = drive(seed, OdometryNoise())
-    mcl, rng = MonteCarloLocalization(known), np.random.default_rng(seed)
+    log = drive(1, OdometryNoise())
+    mcl, rng = MonteCarloLocalization(known), np.random.default_rng(1)
     state = mcl.init()
     rejected = 0
     for odometry, scan in reflected_laser(log.measurements):

@@ -5,6 +5,8 @@ from __future__ import annotations
 import math
 
 import numpy as np
+import pytest
+from scipy.stats import chi2, norm
 
 from gridslam.particles import (
     AlwaysResample,
@@ -13,6 +15,7 @@ from gridslam.particles import (
     NeverResample,
     ResamplingPolicy,
     UpdatePolicy,
+    kld_bound,
     sample_gaussian,
 )
 
@@ -64,3 +67,10 @@ def test_spread_keeps_a_certain_coordinate_and_repeats_with_its_seed() -> None:
     direction = np.array([0.1, 0.7, 0.3])
     offsets = sample_gaussian(50, [0, 0, 0], np.outer(direction, direction), np.random.default_rng(0)) / direction
     np.testing.assert_allclose(np.ptp(offsets, axis=1), 0, atol=1e-6)
+
+
+@pytest.mark.parametrize("bins", [2, 5, 20, 300])
+@pytest.mark.parametrize("error", [0.05, 0.3])
+def test_the_bound_is_the_quantile_of_chi_square(bins, error):
+    exact = chi2.ppf(norm.cdf(2.33), bins - 1) / (2 * error)
+    assert kld_bound(np.array(bins), error, 2.33) == pytest.approx(exact, rel=0.03, abs=1)

@@ -2,22 +2,28 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, replace
 
 import numpy as np
 import pytest
 
 from gridslam.evaluation import absolute_errors
-from gridslam.geometry.se2 import between
+from gridslam.geometry.se2 import between, compose, rotate_covariances
 from gridslam.observers import TrajectoryRecorder
 from gridslam.pipeline import run
 from gridslam.sim import OdometryNoise, SimulatedLog
 from gridslam.slam import GridFastSlam
 from gridslam.slam.full_slam.full_trajectory import full_trajectory
 from gridslam.slam.full_slam.global_scan_refinement import RefinementResult, refine_trajectory
+from gridslam.slam.full_slam.trajectory_score import score_trajectory
 from gridslam.slam.grid_fastslam.state import GridFastSlamState
+from gridslam.slam.loop_closure.drift_model import DriftModel
+from gridslam.slam.loop_closure.key_graph import KEY_SCANS_PER_SUBMAP, KeyGraph
 from gridslam.slam.loop_closure.loop_closure import LoopClosure
+from gridslam.slam.loop_closure.scan_archive import ScanArchive
 from gridslam.slam.loop_closure.state import LoopClosureState
+from gridslam.slam.loop_closure.submaps import build_map
 from gridslam.types import Trajectory
 from support import hall
 from support.loops import loop_drive
@@ -97,3 +103,95 @@ def test_no_scan_is_moved_farther_from_the_key_scans_trajectory_than_allowed(hal
     moved = np.hypot(*(one.refinement.poses - bent)[:, :2].T)
     assert moved.max() <= 0.15
     assert 0 < np.median(moved[moved > 0]) < 0.05
+
+
+DRIFT = DriftModel()
+
+
+class Log:
+    """Key scans as loop closure keeps them, tracked without error."""
+
+    def __init__(self, truth, beams, tracked=None):
+        tracked = truth if tracked is None else tracked
+        self.truth, self.graph, self.scans = truth, KeyGraph(), ScanArchive()
+        for k, (pose, seen) in enumerate(zip(tracked, beams, strict=True)):
+            x, y, turn = between(tracked[k - 1], pose) if k else np.zeros(3)
+            self.scans.append(seen, pose, is_key=True)
+            self.graph.extend(pose, pose, DRIFT.variances(math.hypot(x, y), abs(turn)))
+
+    def score(self, poses):
+        return score_trajectory(self.graph, self.scans, poses, hall.MAPPER)
+
+
+@pytest.fixture(scope="module")
+def seen():
+    return hall.key_scans(hall.drive(0))
+
+
+@pytest.fixture(scope="module")
+def returning(seen):
+    """Two laps of 56 m."""
+    return Log(seen.truth, seen.beams)
+
+
+@pytest.fixture(scope="module")
+def true(returning):
+    return returning.score(returning.truth)[0]
+
+
+def shifted(poses, offset):
+    """The second half of the poses is elsewhere in the map."""
+    half = len(poses) // 2
+    return np.concatenate([poses[:half], poses[half:] + np.array(offset)])
+
+
+@pytest.mark.parametrize("offset", [(0.3, 0.0, 0.0), (0.0, -0.3, 0.0), (2.0, 0.0, 0.0), (0.0, 2.0, 0.0)])
+def test_a_second_visit_that_is_put_beside_the_first_scores_less(returning, true, offset):
+    """Both as to what is seen and as to how the robot moved.
+
+    The scans alone decide it, although walls along the shift, half of them, agree as before.
+    """
+    wrong, _ = returning.score(shifted(returning.truth, offset))
+    assert wrong.log_likelihood < true.log_likelihood
+    assert wrong.motion < true.motion
+    assert wrong.agreement < true.agreement - 0.1
+    assert wrong.log_likelihood - wrong.motion < 0.5 * (true.log_likelihood - true.motion)
+
+
+@pytest.mark.parametrize("offset", [(0.0, 0.0, 0.0), (2.0, 0.0, 0.0)])
+def test_the_map_is_that_of_all_key_scans(returning, offset):
+    poses = shifted(returning.truth, offset)
+    _, maps = returning.score(poses)
+    whole = build_map(hall.MAPPER, returning.scans, np.arange(len(poses)), poses)
+    given, expected = maps.to_arrays(), whole.to_arrays()
+    assert given.keys() == expected.keys()
+    assert {n: a.tobytes() for n, a in given.items()} == {n: a.tobytes() for n, a in expected.items()}
+
+
+def test_the_motion_is_a_cauchy_density_from_submap_to_submap(returning):
+    """One that is off costs log(1 + squared Mahalanobis distance), tempered; each step's heading turns what follows."""
+    tracked, variances = np.array(returning.graph.tracked), np.array(returning.graph.variances)
+    for begin, off in ((20, (0.1, 0.0, 0.0)), (50, (0.0, 0.0, -0.02)), (100, (-0.2, 0.1, 0.01))):
+        end = begin + KEY_SCANS_PER_SUBMAP
+        moved_end = compose(tracked[end], np.array(off))
+        poses = np.concatenate([tracked[:end], compose(moved_end, between(tracked[end], tracked[end:]))])
+        x, y, theta = tracked[end]
+        covariance = np.zeros((3, 3))
+        for k in range(begin + 1, end + 1):
+            position, heading = variances[k]
+            across = np.array([tracked[k][1] - y, x - tracked[k][0], 1.0])
+            covariance += np.diag([position, position, 0.0]) + heading * np.outer(across, across)
+        error = rotate_covariances(np.outer(off, off), theta)  # in the axes of the map
+        squared = np.trace(np.linalg.solve(covariance, error))
+        expected = -0.5 * math.log1p(squared)
+        assert returning.score(poses)[0].motion == pytest.approx(expected, rel=1e-6)
+
+
+def test_a_loop_left_open_by_drift_scores_less_than_the_truth_although_its_motion_is_the_tracked_one(seen):
+    """0.01 rad/m: after a lap everything is half a radian off. Walls mapped twice outweigh the motion."""
+    bent = hall.tracked(seen.truth, bias_rad_per_m=0.01)
+    log = Log(seen.truth, seen.beams, bent)
+    closed, _ = log.score(seen.truth)
+    left_open, _ = log.score(bent)
+    assert left_open.motion == 0 > closed.motion
+    assert closed.log_likelihood > left_open.log_likelihood

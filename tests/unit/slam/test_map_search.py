@@ -83,8 +83,7 @@ def test_submaps_of_a_later_drive_are_found_in_a_map(seen, make):
     assert np.mean(hits) >= 0.8
 
 
-@pytest.mark.parametrize("make", [lambda piece: piece, given], ids=["driven", "given"])
-@pytest.mark.parametrize("first", [LAP, LAP + 30, LAP + 60])
+@pytest.mark.parametrize(("first", "make"), [(LAP, given), (LAP + 30, lambda piece: piece), (LAP + 60, given)])
 def test_a_drive_is_found_where_it_is(seen, make, first):
     later = drive(seen, first, len(seen.truth), ELSEWHERE)
     key, found = found_after(locator([make(lap(seen))]), later)

@@ -6,11 +6,16 @@ import numpy as np
 import pytest
 
 from closure_worlds import Drive, deceptive, returns
-from gridslam.geometry.se2 import between
+from gridslam.geometry.se2 import between, compose
+from gridslam.matching.lines import measure_line_lengths
 from gridslam.slam.loop_closure.constraints import ConstraintSource
 from gridslam.slam.loop_closure.drift_model import DriftModel
 from gridslam.slam.loop_closure.state import LoopClosureState
+from gridslam.slam.loop_closure.submaps import SubmapCache
+from gridslam.slam.loop_closure.walls import find_walls, leave_open
+from gridslam.types import StoredScan
 from support import hall
+from support.oblong import map_room, scan_at
 
 LAP = 95
 """Key scans of a lap in the hall."""
@@ -111,3 +116,79 @@ def test_a_bare_corridor_driven_twice_has_no_place_along_it():
         drift=DriftModel(sigma_m_per_sqrt_m=0.1, sigma_rad_per_sqrt_m=0.006),
     )
     assert not any(constraint.source is ConstraintSource.RECOGNIZED for constraint in closure_state.graph.constraints)
+
+
+COUNT = 65
+
+
+@pytest.fixture(scope="module")
+def closure_state():
+    """65 key scans, tracked in a frame that drifts against that of the map."""
+    seen, made = hall.key_scans(hall.drive(0)), LoopClosureState()
+    hall.remember(made, seen, hall.tracked(seen.truth, 0.002), until=COUNT)
+    return made
+
+
+def contents(maps):
+    return {name: array.tobytes() for name, array in maps.to_arrays().items()}
+
+
+def test_what_is_kept_changes_nothing(closure_state):
+    """Asked for in any order, with room for one or for many, before and after a correction."""
+    many, one = SubmapCache(), SubmapCache(most=1)
+    order = np.random.default_rng(0).integers(0, 6, 20).tolist()
+    graph = closure_state.graph.snapshot()
+    once = {submap: contents(SubmapCache()(submap, hall.MAPPER, closure_state.scans, graph)) for submap in range(6)}
+    for k, submap in enumerate(order):
+        if k == 10:
+            graph.correct(compose(np.array([5.0, -3.0, 1.0]), np.array(graph.poses)) * [1.01, 1.0, 1.0])
+        for submaps in (many, one):
+            assert contents(submaps(submap, hall.MAPPER, closure_state.scans, graph)) == once[submap]
+    assert many(order[-1], hall.MAPPER, closure_state.scans, graph) is many(
+        order[-1], hall.MAPPER, closure_state.scans, graph
+    )
+
+
+def test_room_is_made_by_dropping_what_was_not_used_for_longest(closure_state):
+    submaps = SubmapCache(most=2)
+    drawn_first = [submaps(submap, hall.MAPPER, closure_state.scans, closure_state.graph) for submap in (0, 1, 0, 2)]
+    again = [submaps(submap, hall.MAPPER, closure_state.scans, closure_state.graph) for submap in (0, 2, 1)]
+    assert again[0] is drawn_first[0]
+    assert again[1] is drawn_first[3]
+    assert again[2] is not drawn_first[1]
+
+
+ORIGIN = np.zeros(2)
+
+
+def line(x0, y0, x1, y1):
+    count = int(np.hypot(x1 - x0, y1 - y0) / 0.04)
+    return np.column_stack([np.linspace(x0, x1, count), np.linspace(y0, y1, count)])
+
+
+def test_each_beam_has_the_length_of_its_line():
+    wall, box = line(-3, 2, 3, 2), line(-0.4, -1.5, 0.4, -1.5)
+    ends = np.concatenate([wall, box])
+    scan = StoredScan(ends[np.argsort(np.arctan2(ends[:, 1], ends[:, 0]))], ORIGIN)
+    lengths = measure_line_lengths(scan.ends, ORIGIN)
+    assert lengths[scan.ends[:, 1] > 0] == pytest.approx(6.0)
+    assert lengths[scan.ends[:, 1] < 0] == pytest.approx(0.8)
+    assert len(find_walls(scan)) == len(wall)
+
+
+def test_what_stands_before_a_wall_is_no_part_of_its_line():
+    wall, box = line(-3, 2, 3, 2), line(-0.4, 1.7, 0.4, 1.7)
+    seen = wall[np.abs(wall[:, 0] / wall[:, 1]) > 0.4 / 1.7]  # the rest is hidden
+    ends = np.concatenate([seen, box])
+    scan = StoredScan(ends[np.argsort(np.arctan2(ends[:, 1], ends[:, 0]))], ORIGIN)
+    lengths = measure_line_lengths(scan.ends, ORIGIN)
+    assert (lengths[scan.ends[:, 1] > 1.9] > 2).mean() > 0.9
+    assert lengths[scan.ends[:, 1] < 1.8].max() < 1
+
+
+def test_walls_of_one_direction_leave_a_place_beside_open_and_those_of_a_room_do_not():
+    maps, pose = map_room(), np.zeros(3)
+    ends = scan_at(pose).ends
+    assert not leave_open(maps, ends, pose)
+    parallel = ends[(np.abs(ends[:, 1]) > 2) & (np.abs(ends[:, 0]) < 1.5)]
+    assert leave_open(maps, parallel, pose)

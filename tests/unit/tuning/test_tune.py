@@ -8,8 +8,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from gridslam.config import Configuration, loads
-from gridslam.errors import ArgumentError, InputError
+from gridslam.config import PARAMETERS, Configuration, loads, preset
+from gridslam.errors import ArgumentError, ConfigurationError, InputError
+from gridslam.tuning.comparison import Pair, compare
 from gridslam.tuning.report import describe_verdict, to_document, to_toml
 from gridslam.tuning.search_space import SearchSpace
 from gridslam.tuning.tune import Settings, TunedLog, Tuner
@@ -131,3 +132,81 @@ def test_the_file_is_a_configuration():
     text = to_toml(tuning, LOGS)
     assert text.startswith("# gridslam tune, version ")
     assert loads(text) == tuning.configuration
+
+
+def _pairs(rng, gain, logs, seeds, log_deviation=0.0, seed_deviation=0.1):
+    """Logs differ in how hard they are and in what they gain; seeds are noise on top."""
+    return [
+        Pair(f"log{k}", seed, hard + seed_deviation * one, hard + gain + of_log + seed_deviation * other)
+        for k, (hard, of_log) in enumerate(zip(rng.normal(0, 2, logs), rng.normal(0, log_deviation, logs), strict=True))
+        for seed, (one, other) in enumerate(rng.standard_normal((seeds, 2)))
+    ]
+
+
+@pytest.mark.parametrize(("logs", "seeds"), [(1, 5), (3, 5), (6, 3), (12, 2)])
+def test_without_a_gain_hardly_ever_one_is_claimed(logs, seeds):
+    """The upper limit of a 95 % interval is below 1 in 2.5 % of such comparisons: more than 5 % of 200, 10, have a
+    probability of 1 % for each case; the seeds are fixed."""
+    claimed = sum(
+        compare(_pairs(np.random.default_rng(seed), 0.0, logs, seeds, 0.2 if logs >= 4 else 0.0)).gains
+        for seed in range(200)
+    )
+    assert claimed <= 10
+
+
+@pytest.mark.parametrize(("logs", "seeds"), [(1, 5), (6, 3)])
+def test_a_real_gain_is_found(logs, seeds):
+    """20 % with seeds that differ by 5 %: three standard errors and more."""
+    found = [
+        compare(_pairs(np.random.default_rng(seed), math.log(0.8), logs, seeds, 0.02, 0.05)) for seed in range(100)
+    ]
+    assert sum(one.gains for one in found) >= 95
+    assert np.median([one.ratio for one in found]) == pytest.approx(0.8, rel=0.02)
+    assert np.median([one.seed_noise for one in found]) == pytest.approx(math.exp(0.05), rel=0.02)
+
+
+def test_many_logs_count_as_logs():
+    """One that gains much in all of its seeds is one observation, and proves nothing about others."""
+    rng = np.random.default_rng(0)
+    pairs = [Pair("a", seed, 0.0, -1.0) for seed in range(50)]
+    others = [Pair(name, 0, 0.0, float(rng.normal(0, 0.1))) for name in "bcde"]
+    found = compare(pairs + others)
+    assert (found.units, found.observations) == ("logs", 5)
+    assert not found.gains
+    assert compare(pairs[:5]).units == "runs"
+
+
+def test_failures_count_and_forbid():
+    good = [Pair("a", seed, 0.0, -1.0 - 0.01 * seed) for seed in range(5)]
+    assert compare(good).gains
+    failed = compare([*good, Pair("a", 5, 0.0, math.inf)])
+    assert failed.failed == 1
+    assert not failed.gains
+    rescued = compare([Pair("a", seed, math.inf, 0.01 * seed) for seed in range(5)])
+    assert rescued.gains
+    assert rescued.ratio == pytest.approx(0.1)
+
+
+DEFAULT = Configuration()
+
+
+def test_all_parameters_with_a_range_are_searched_and_no_others():
+    space = SearchSpace.of(DEFAULT)
+    assert [one.name for one in space.dimensions] == [name for name, one in PARAMETERS.items() if one.search]
+    assert {"particles", "range_min_m", "lost_below"}.isdisjoint(one.name for one in space.dimensions)
+
+
+@pytest.mark.parametrize("end", ["low", "high"])
+def test_ends_are_valid_and_the_default_is_itself(end):
+    space = SearchSpace.of(DEFAULT)
+    values = space.round({one.name: getattr(one.search, end) for one in space.dimensions})
+    assert space.values_of(space.apply(DEFAULT, values)) == values
+    assert space.apply(DEFAULT, space.values_of(DEFAULT)) == DEFAULT
+
+
+def test_parameters_of_another_kind_are_left_out():
+    of_gmapping = [one.name for one in SearchSpace.of(preset("gmapping")).dimensions]
+    assert "beam_sigma_m" not in of_gmapping
+    assert "key_scan_m" in of_gmapping
+    with pytest.raises(ConfigurationError, match="beam_sigma_m: cannot be tuned; expected one of resolution_m"):
+        SearchSpace.of(preset("gmapping"), ["beam_sigma_m"])

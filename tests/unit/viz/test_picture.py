@@ -2,22 +2,31 @@
 
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 from PIL import ImageDraw
 
+from gridslam.slam.pose_graph.pose_graph import PoseGraph
 from gridslam.types import OccupancyGrid, Trajectory
-from gridslam.viz import draw_map
+from gridslam.viz import draw_graph, draw_map
 from gridslam.viz.canvas import (
+    CLOSURE,
     FREE,
+    LOST,
     MARGIN,
     OCCUPIED,
+    REJECTED,
     TEXT_SIZE,
     TIME_ENDS,
+    TRUTH,
     UNKNOWN,
     arrange_keys,
     font,
     time_colours,
 )
-from gridslam.viz.picture import lay_out
+from gridslam.viz.cloud import select_representatives
+from gridslam.viz.picture import SIGMAS, draw_landmarks, draw_localization, ellipse, lay_out
+from support.localization_world import drive, flat_map
 
 RESOLUTION = 0.05
 
@@ -126,3 +135,124 @@ def test_keys_of_long_names_leave_the_caption_free():
     title = " + ".join(names)
     sizes = {draw_map(_grid((700, 700)), title=text, caption=["a"]).size for text in (title, 5 * title)}
     assert len(sizes) == 1, "a long title is cut"
+
+
+@given(st.integers(1, 300), st.integers(1, 100), st.integers(0, 2**32 - 1), st.floats(0.0, 8.0))
+def test_any_part_of_a_cloud_keeps_its_weight(count, most, seed, spread):
+    """Of a run of particles one after the other the share is told to within 1 / `most`."""
+    rng = np.random.default_rng(seed)
+    weights = np.exp(spread * rng.normal(size=count))
+    weights /= weights.sum()
+    chosen, shares = select_representatives(weights, most)
+    assert len(chosen) <= min(most, count)
+    assert (np.diff(chosen) > 0).all()
+    told = np.zeros(count)
+    told[chosen] = shares
+    assert abs(told.sum() - 1) < 1e-9
+    apart = np.cumsum(told) - np.cumsum(weights)
+    assert apart.max() - apart.min() <= 1 / most + 1e-9
+
+
+def test_few_particles_are_all_shown_as_they_are():
+    weights = np.array([0.9, 0.1, 0.0])
+    chosen, shares = select_representatives(weights, 3)
+    np.testing.assert_array_equal(chosen, [0, 1, 2])
+    np.testing.assert_array_equal(shares, weights)
+    assert len(select_representatives(np.zeros(0))[0]) == 0
+
+
+def _square(closures=((0, 3),), side_m=10.0):
+    """Four poses around a square, then the closures."""
+    poses = np.array([[0, 0, 0], [side_m, 0, 1.57], [side_m, side_m, 3.14], [0, side_m, -1.57]])
+    edges = [(0, 1), (1, 2), (2, 3), *closures]
+    return PoseGraph.of(poses, edges, np.zeros((len(edges), 3)), [np.eye(3)] * len(edges))
+
+
+def _panels(page):
+    """Left, top, right, bottom of the two panels: what is almost white and large."""
+    white = (np.asarray(page) == FREE).all(axis=2)
+    rows = np.flatnonzero(white.mean(axis=1) > 0.3)
+    columns = np.flatnonzero(white[rows].mean(axis=0) > 0.3)
+    across, down = (np.split(k, np.flatnonzero(np.diff(k) > 50) + 1) for k in (columns, rows))
+    return [(c[0], r[0], c[-1] + 1, r[-1] + 1) for r in down for c in across]
+
+
+def _has(page, box, colour, within=0):
+    return bool((np.abs(np.asarray(page.crop(box)).astype(np.int16) - colour).max(axis=2) <= within).any())
+
+
+def test_both_states_are_drawn_and_the_path_has_the_colours_of_its_order():
+    graph = _square()
+    page = draw_graph(graph, graph.poses * 0.9)
+    before, after = _panels(page)
+    for box in (before, after):
+        assert _has(page, box, CLOSURE)
+        assert _has(page, box, TIME_ENDS[1])
+        assert not _has(page, box, REJECTED)
+        for share in (1 / 3, 2 / 3):  # the dots of the poses between the ends
+            assert _has(page, box, time_colours(np.array([share]))[0])
+
+
+def test_poses_that_are_all_in_one_place_before():
+    graph = _square()
+    page = draw_graph(graph, np.zeros((4, 3)))
+    assert _has(page, _panels(page)[1], CLOSURE)
+
+
+def test_an_ellipse_has_its_distance_from_the_centre_everywhere():
+    rng = np.random.default_rng(0)
+    roots, centres = rng.normal(size=(5, 2, 2)), rng.normal(0, 9, (5, 2))
+    covariances = roots @ roots.swapaxes(1, 2)
+    offsets = ellipse(centres, covariances) - centres[:, None]
+    distances = np.einsum("mki,mij,mkj->mk", offsets, np.linalg.inv(covariances), offsets)
+    np.testing.assert_allclose(distances, SIGMAS**2, rtol=1e-8)
+    np.testing.assert_allclose(offsets[:, 0], offsets[:, -1], atol=1e-12)
+    singular = ellipse(centres[:1], np.zeros((1, 2, 2)))
+    np.testing.assert_array_equal(singular[0], np.tile(centres[0], (49, 1)))
+
+
+def _count(page, colour):
+    return int((np.asarray(page) == colour).all(axis=2).sum())
+
+
+def test_more_uncertain_landmarks_take_more_ink_and_truth_is_shown_where_there_is_any():
+    angle = np.linspace(0, 6, 100)
+    trajectory = Trajectory(np.arange(100) * 10**9, np.stack([angle, np.sin(angle), angle * 0], axis=1))
+    positions = np.array([[1.0, 2.0], [4.0, -2.0]])
+    small, large = (
+        draw_landmarks(trajectory, positions, np.tile(spread * np.eye(2), (2, 1, 1)), title="a", caption=["b"])
+        for spread in (1e-4, 0.02)
+    )
+    assert _count(large, CLOSURE) > _count(small, CLOSURE) > 0
+    assert _count(large, TRUTH) == 0
+    told = draw_landmarks(
+        trajectory, positions, np.tile(0.02 * np.eye(2), (2, 1, 1)), truth=trajectory, true_positions=positions + 0.5
+    )
+    assert _count(told, TRUTH) > 100
+    assert min(told.size) > 800
+
+
+def painted(page, colour):
+    return int((np.asarray(page) == colour).all(axis=2).sum())
+
+
+def test_where_it_was_lost_and_found():
+    grid, truth = flat_map(), drive(1).truth
+    lost = np.zeros(len(truth), bool)
+    clean = draw_localization(grid, truth, lost, title="flat", caption=["one", "two"])
+    assert painted(clean, LOST) == 0
+    lost[:30] = True
+    page = draw_localization(grid, truth, lost, title="flat", caption=["one", "two"])
+    assert page.size == clean.size
+    assert painted(page, LOST) > 200
+    assert painted(page, CLOSURE) > 50
+    everywhere = draw_localization(grid, truth, np.ones(len(truth), bool))
+    assert painted(everywhere, LOST) > painted(page, LOST)
+
+
+def test_poses_off_the_map_and_jumps():
+    grid, truth = flat_map(), drive(1).truth
+    poses = truth.poses.copy()
+    poses[50:60, :2] += 500.0
+    page = draw_localization(grid, Trajectory(truth.stamps_ns, poses), np.zeros(len(poses), bool))
+    assert max(page.size) >= 1400
