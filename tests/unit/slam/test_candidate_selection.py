@@ -5,6 +5,7 @@ import pytest
 
 from gridslam.geometry.se2 import between, compose
 from gridslam.mapping import OccupancyGridMapping
+from gridslam.slam.full_slam import global_scan_refinement
 from gridslam.slam.full_slam.global_scan_refinement import Adjusted, Candidate, _Refinement, place_components
 from gridslam.slam.full_slam.trajectory_score import TrajectoryScore
 from gridslam.slam.loop_closure.constraints import Constraint, ConstraintSource
@@ -182,3 +183,24 @@ def test_a_place_that_joins_components_and_is_rejected_is_not_searched_for_again
     refinement = begin(with_gap=True)
     assert refinement.select(np.zeros((2, 3))).recognized_constraints == found[:2]
     assert len(names) == 1
+
+
+@pytest.mark.parametrize(
+    ("away", "likelihood", "best"), [(0.2, -4.0, "filter"), (2.0, -4.0, "revisits"), (2.0, -6.0, "filter")]
+)
+def test_a_revisit_within_the_drift_must_change_the_trajectory_and_score_better(monkeypatch, away, likelihood, best):
+    """Neither place recognition nor the filter has found where the last metres belong."""
+    place = Constraint(0, 1, np.array([1.0, away, 0.0]), 1e6 * np.eye(3), ConstraintSource.RECOGNIZED, True)
+    monkeypatch.setattr(global_scan_refinement, "propose_revisits", lambda *_: [place])
+
+    def adjust(refinement, one):
+        refinement.adjusted[one.name] = adjusted(one, -5.0 if one.name == "filter" else likelihood)
+        return refinement.adjusted[one.name]
+
+    monkeypatch.setattr(_Refinement, "_add_closures", lambda *_: None)
+    monkeypatch.setattr(_Refinement, "_optimize", lambda _, name, *__: candidate(name, 0.0))
+    monkeypatch.setattr(_Refinement, "adjust", adjust)
+    selected = begin(with_gap=True).select(np.array([[0.0, 0.0, 0.0], [1.0, 0.0, 0.0]]))
+    assert selected.name == best
+    assert selected.constraints == []
+    assert selected.graph.poses[1, 1] == pytest.approx(away if best == "revisits" else 0.0, abs=0.01)
