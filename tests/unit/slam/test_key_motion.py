@@ -66,7 +66,7 @@ def test_the_tracked_motion_stays_where_wheels_slip_and_across_gaps():
     keys, graph = drive(0)
     found = weighed(keys, graph)
     for step in (SLIPPED - 1, GAP - 1):
-        assert found.measurements[step] == pytest.approx(graph.measurements[step], abs=2e-3)
+        assert found.measurements[step] == pytest.approx(graph.measurements[step], abs=4e-3)
         assert found.information[step] == pytest.approx(graph.information[step], rel=0.06)
     assert np.trace(found.information[10]) != pytest.approx(np.trace(graph.information[10]), rel=0.03)
 
@@ -75,6 +75,16 @@ def test_a_jump_of_the_filter_is_none_where_odometry_and_tracking_agree():
     keys, graph = drive(0)
     graph.measurements[30, 0] += 0.3
     assert weighed(keys, graph).errors()[30, 0] == pytest.approx(0, abs=0.03)
+
+
+def test_jumps_of_the_filter_do_not_make_the_odometry_unknown():
+    """A filter with a narrow laser may jump by decimetres again and again, where tracking and wheels agree."""
+    keys, graph = drive(0)
+    jumps = np.zeros((COUNT, 3))
+    jumps[:, 0] = np.random.default_rng(1).normal(scale=0.2, size=COUNT)
+    jumping = graph.with_poses(compose(graph.poses, jumps))
+    assert weighed(keys, jumping).measurements == pytest.approx(weighed(keys, graph).measurements)
+    assert weighed(keys, jumping).measurements[30, 0] != graph.measurements[30, 0]
 
 
 def test_bad_odometry_takes_the_place_of_nothing():

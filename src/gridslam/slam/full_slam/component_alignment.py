@@ -54,13 +54,13 @@ _MOST_SCORED = 20
 """Key scans by which a hypothesis is scored, spread evenly, in either direction."""
 
 LENGTH_M = 15.0
-_STEP_M = 5.0
+STEP_M = 5.0
 """Way of a submap, and way from one to the next."""
 _MOST_SEARCHES = 400
 """Searches of submaps in the maps of components in one call at most, 10 ms each, spread evenly."""
-_SEARCH_SIGMAS = 2.5
-_MARGIN_M = 1.0
-_MARGIN_RAD = 0.1
+SEARCH_SIGMAS = 2.5
+MARGIN_M = 1.0
+MARGIN_RAD = 0.1
 """Standard deviations of the drift within which a submap is searched for, and what is added, as it is bent itself."""
 _MOST_EXPECTED = 50
 """Key scans of a component, spread evenly, of which the one determines where a submap is expected to which the way is
@@ -141,7 +141,7 @@ def align_components(
     labels = graph.label_rigid_components()
     if not labels.any():
         return []
-    stretches.cut(graph, closure_state.scans, mapper, LENGTH_M, _STEP_M, is_over=True)
+    stretches.cut(graph, closure_state.scans, mapper, LENGTH_M, STEP_M, is_over=True)
     poses = np.array(graph.poses)
     wanted = _select_searches(graph, stretches.submaps, labels, aligned)
     found: list[Constraint] = []
@@ -173,7 +173,7 @@ def align_components(
 
 
 @final
-class _WantedSearch(NamedTuple):
+class WantedSearch(NamedTuple):
     """A submap to be searched for in component `old`, where it is expected from that one's key scan `seen_from`."""
 
     submap: Submap
@@ -193,7 +193,7 @@ class _WantedSearch(NamedTuple):
         ]
 
 
-def _select_searches(graph: KeyGraph, submaps: list[Submap], labels: IntArray, aligned: int) -> list[_WantedSearch]:
+def _select_searches(graph: KeyGraph, submaps: list[Submap], labels: IntArray, aligned: int) -> list[WantedSearch]:
     """Select submaps and older components that may lie where they are: the drift allows for it."""
     poses = np.array(graph.poses)
     wanted = []
@@ -208,11 +208,11 @@ def _select_searches(graph: KeyGraph, submaps: list[Submap], labels: IntArray, a
             expected, covariances = graph.locate(submap.anchor, few)
             sigmas_m = position_sigmas(covariances)
             best = int(sigmas_m.argmin())
-            reach_m = float(_SEARCH_SIGMAS * sigmas_m[best]) + _MARGIN_M
-            reach_rad = _SEARCH_SIGMAS * math.sqrt(covariances[best, 2, 2]) + _MARGIN_RAD
+            reach_m = float(SEARCH_SIGMAS * sigmas_m[best]) + MARGIN_M
+            reach_rad = SEARCH_SIGMAS * math.sqrt(covariances[best, 2, 2]) + MARGIN_RAD
             x, y, _ = compose(poses[few[best]], expected[best]).tolist()
             if np.hypot(poses[keys, 0] - x, poses[keys, 1] - y).min() < reach_m + submap.radius_m:
-                wanted.append(_WantedSearch(submap, old, int(few[best]), expected[best], reach_m, reach_rad))
+                wanted.append(WantedSearch(submap, old, int(few[best]), expected[best], reach_m, reach_rad))
     return wanted[:: max(1, -(-len(wanted) // _MOST_SEARCHES))]
 
 

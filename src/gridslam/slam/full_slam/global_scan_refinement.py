@@ -18,6 +18,7 @@ from gridslam.slam.full_slam.component_alignment import align_components
 from gridslam.slam.full_slam.full_trajectory import TrackedScans, full_trajectories
 from gridslam.slam.full_slam.key_motion import weigh_odometry
 from gridslam.slam.full_slam.laser_errors import LaserErrors, estimate_laser_errors
+from gridslam.slam.full_slam.revisits_within_drift import propose_revisits
 from gridslam.slam.full_slam.surface_adjustment import LINE_REACH_M, adjust_key_scans, match_scans
 from gridslam.slam.full_slam.trajectory_score import TrajectoryScore, score_trajectory
 from gridslam.slam.loop_closure.constraints import Constraint, ConstraintSource
@@ -40,7 +41,7 @@ class Candidate:
     ----------
     name : str
         Where it comes from: "filter", the best particle's past; "closed 1", "closed 2", ..., the tracked motion with
-        places that were found in a search of the whole log.
+        places that were found in a search of the whole log; "revisits", returned to where short stretches fit.
     graph : PoseGraph
         Key scans and what was measured between them; its poses (T, 3) are the trajectory.
     constraints : list of Constraint
@@ -291,6 +292,9 @@ class _Refinement:
             if not (is_better or is_joined):
                 break
             last = found
+        closed = self._return_within_drift(best)
+        if closed is not None and self._log_likelihood(closed) > self._log_likelihood(best):
+            best = closed
         return best
 
     def adjust(self, candidate: Candidate) -> Adjusted:
@@ -379,6 +383,24 @@ class _Refinement:
         if not recognized:
             return None
         return self._optimize(name, solution.poses, [*recognized, *known])
+
+    def _return_within_drift(self, best: Candidate) -> Candidate | None:
+        """Let a candidate return to where short stretches of its way fit; None if it is there already, or none fits.
+
+        What fits is no constraint, but where surfaces are matched from.
+        """
+        known = best.constraints
+        self.graph.constraints = known
+        self.closure_state.correct(SOLVER.solve(self._graph(best.graph.poses, known)).poses)
+        found = propose_revisits(
+            self.closure_state, self.stretches, self.mapper, self.closure, self.on_progress, self.searched
+        )
+        if not found:
+            return None
+        poses = SOLVER.solve(self._graph(best.graph.poses, [*found, *known])).poses
+        closed = self._keep_trajectory("revisits", poses, best.recognized_constraints)
+        is_there = _moved_m(closed, replace(best, graph=self.adjust(best).graph)) <= _AGREE_M
+        return None if is_there else closed
 
     def _optimize(self, name: str, poses: FloatArray, constraints: list[Constraint]) -> Candidate:
         """Make a candidate of the tracked motion and constraints, beginning at poses (T, 3)."""

@@ -41,9 +41,10 @@ def weigh_odometry(graph: PoseGraph, keys: KeyGraph, is_tracked: NDArray[np.bool
 
     The odometry is the likelihood of the motion that scans know nothing of: along directions that they leave weak, as
     those of a narrow laser or of a few metres' range, it is the better one. Its systematic errors and its noise are
-    estimated from the graph's poses; it counts where that is possible, and where wheels do not slip. Its headings
-    are not used: on real robots they lag behind. It decides, too, whether the filter jumped along a corridor or the
-    tracker was wrong. What is tracked has the rest, and all where there is no odometry.
+    estimated from the tracked motion, as the graph's may hold jumps of a filter; it counts where that is possible, and
+    where wheels do not slip. Its headings are not used: on real robots they lag behind. It decides, too, whether the
+    filter jumped along a corridor or the tracker was wrong. What is tracked has the rest, and all where there is no
+    odometry.
 
     Parameters
     ----------
@@ -58,7 +59,7 @@ def weigh_odometry(graph: PoseGraph, keys: KeyGraph, is_tracked: NDArray[np.bool
     ----------
     Probabilistic Robotics, section 5.4.
     """
-    errors = _estimate_errors(graph, keys, is_tracked)
+    errors = _estimate_errors(keys, is_tracked)
     if not (errors.trusted and _CALIBRATION.is_known(errors)):
         return graph
     odometry = np.array(keys.odometry)
@@ -85,11 +86,11 @@ def weigh_odometry(graph: PoseGraph, keys: KeyGraph, is_tracked: NDArray[np.bool
     return replace(graph, measurements=measurements, information=information)
 
 
-def _estimate_errors(graph: PoseGraph, keys: KeyGraph, is_tracked: NDArray[np.bool_]) -> OdometryErrorModel:
-    """Estimate the errors of the odometry from the poses of a graph."""
+def _estimate_errors(keys: KeyGraph, is_tracked: NDArray[np.bool_]) -> OdometryErrorModel:
+    """Estimate the errors of the odometry from the tracked motion."""
     variances = np.linalg.eigvalsh(np.array(keys.covariances)[1:, :2, :2])
     is_determined = variances[:, 1] < _OPEN_RATIO * variances[:, 0]
-    errors = OdometryErrorModel(begin_pose=as_pose(graph.poses[0]), begin_odometry=as_pose(keys.odometry[0]))
+    errors = OdometryErrorModel(begin_pose=as_pose(keys.tracked[0]), begin_odometry=as_pose(keys.odometry[0]))
     for key, (is_good, determined) in enumerate(zip(is_tracked.tolist(), is_determined.tolist(), strict=True), start=1):
-        _CALIBRATION.learn(errors, as_pose(graph.poses[key]), as_pose(keys.odometry[key]), is_good, determined)
+        _CALIBRATION.learn(errors, as_pose(keys.tracked[key]), as_pose(keys.odometry[key]), is_good, determined)
     return errors
