@@ -6,9 +6,16 @@ import pytest
 from gridslam.geometry.se2 import between, compose
 from gridslam.mapping import OccupancyGridMapping
 from gridslam.slam.full_slam import global_scan_refinement
-from gridslam.slam.full_slam.global_scan_refinement import Adjusted, Candidate, _Refinement, place_components
+from gridslam.slam.full_slam.global_scan_refinement import (
+    Adjusted,
+    Candidate,
+    _Refinement,
+    leave_to_search,
+    place_components,
+)
 from gridslam.slam.full_slam.trajectory_score import TrajectoryScore
 from gridslam.slam.loop_closure.constraints import Constraint, ConstraintSource
+from gridslam.slam.loop_closure.key_graph import UNKNOWN_VARIANCES, KeyGraph
 from gridslam.slam.loop_closure.loop_closure import LoopClosure
 from gridslam.slam.loop_closure.state import LoopClosureState, RejectionReason
 from gridslam.slam.loop_closure.submap_pairs import SubmapPairs
@@ -117,6 +124,26 @@ def test_the_tracked_motion_with_the_constraints_of_the_drive_is_compared_where_
     monkeypatch.setattr(_Refinement, "adjust", adjust)
     refinement = begin()
     assert refinement.select(np.zeros((2, 3))).name == best
+
+
+@pytest.mark.parametrize(
+    ("searched", "kept"),
+    [
+        (0, ["TRACKED 0 2", "RECOGNIZED 0 1", "TRACKED 0 1", "BY_HAND 0 3", "RECOGNIZED 0 4", "TRACKED 1 4"]),
+        (4, None),
+    ],
+)
+def test_places_recognized_across_a_gap_are_left_to_the_search_of_the_whole_log(searched, kept):
+    """With what was tracked across a gap after them; not what a person said, nor what joins drives or older scans."""
+    graph = KeyGraph()
+    for variances in ((1e-4, 1e-4), (1e-4, 1e-4), (4.0, 1e-4), (1e-4, 1e-4), UNKNOWN_VARIANCES):
+        graph.extend(np.zeros(3), np.zeros(3), variances)
+    said = "TRACKED 0 2,RECOGNIZED 0 1,RECOGNIZED 1 3,TRACKED 1 2,TRACKED 0 1,BY_HAND 0 3,RECOGNIZED 0 4,TRACKED 1 4"
+    for source, from_, to in (each.split() for each in said.split(",")):
+        pair = int(from_), int(to)
+        graph.add(Constraint(*pair, np.zeros(3), np.eye(3), ConstraintSource[source], True))
+    left = [f"{c.source.name} {c.from_} {c.to}" for c in leave_to_search(graph, searched)]
+    assert left == (said.split(",") if kept is None else kept)
 
 
 @pytest.mark.parametrize(("apart", "best"), [(-4.0, 1), (-6.0, 0)])

@@ -96,7 +96,21 @@ def decided(best, *, shifted, others=()):
 )
 def test_evidence_and_drift_must_be_enough(likelihood, squared, is_accepted):
     best = Hypothesis(np.zeros((1, 3)), likelihood, squared, 1.0, 0.9)
-    assert (decided(best, shifted=-1.0) is best) == is_accepted
+    assert (decided(best, shifted=-1.0) is not None) == is_accepted
+
+
+@pytest.mark.parametrize(("beside_m", "is_open"), [(0.2, False), (0.4, True), (1.4, True), (1.6, None)])
+def test_what_fits_a_metre_beside_leaves_the_place_open_and_what_fits_elsewhere_refutes(beside_m, is_open):
+    """Furniture was moved by less than a metre: the place is known, although not to a decimetre."""
+    best = Hypothesis(np.zeros((1, 3)), 30.0, 0.0, 1.0, 0.9)
+    found = decided(
+        best, shifted=-1.0, others=[best._replace(poses=np.array([[beside_m, 0.0, 0.0]]), log_likelihood=29.0)]
+    )
+    assert (None if found is None else found.is_open) == is_open
+
+
+def test_what_fits_at_every_shift_is_refuted():
+    assert decided(Hypothesis(np.zeros((1, 3)), 30.0, 0.0, 1.0, 0.9), shifted=29.0) is None
 
 
 @pytest.mark.parametrize("there_and_back", [(40.0, -10.0), (-10.0, 40.0)])

@@ -25,7 +25,7 @@ from gridslam.slam.loop_closure.submap_matching import MAX_POINTS, Submap
 from gridslam.slam.loop_closure.submap_pairs import SubmapPairs
 from gridslam.slam.loop_closure.submap_recognition import drift_distance
 from gridslam.slam.loop_closure.submaps import DIRECTIONS, ROW, build_map, match_points
-from gridslam.slam.loop_closure.walls import leave_open
+from gridslam.slam.loop_closure.walls import MOST_BESIDE_M, leave_open
 from gridslam.types import BeamEnds, FloatArray, IntArray, Match, StoredScan
 
 _CONSISTENT_M = 0.3
@@ -81,8 +81,8 @@ _AMBIGUITY_RATIO = 0.6
 """Maximum evidence for any other hypothesis, as a fraction of the best."""
 _MERGE_M = 0.3
 """Hypotheses whose median distance is below this are the same."""
-_SHIFT_M = 0.5
-"""The best one, shifted so far in any direction, is another: along bare corridors it fits as well."""
+_SHIFTS_M = 0.5, 1.5
+"""The best one, shifted so far in any direction, is another: along bare corridors it fits as well at both."""
 _INLIER_RATIO = 0.5
 """Minimum inlier ratio of a key scan that gives a constraint."""
 _BEAM_SIGMA_M = 0.3
@@ -118,9 +118,9 @@ def align_components(
     rarely.
 
     What the drift makes improbable counts less, by the squared distance in its standard deviations. The best hypothesis
-    is accepted if there is enough evidence for it, it lies within the drift, no other place, found or half a metre
-    beside, has a comparable one, and walls alone leave no place beside it. Much weaker ones of the same component are
-    judged again with what is then known.
+    is accepted if there is enough evidence for it, it lies within the drift, and no other place has a comparable one.
+    Where one within 1.5 m has, or walls alone leave one beside it, it is known to a metre or so. Much weaker ones of
+    the same component are judged again with what is then known.
 
     Parameters
     ----------
@@ -157,7 +157,7 @@ def align_components(
             on_progress()
             alignment = Alignment(closure_state, mapper, places, np.flatnonzero(labels == new), known)
             best = alignment.select_hypothesis(of_new)
-            if best is not None and alignment.is_left_open(best):
+            if best is not None and (best.is_open or alignment.is_left_open(best)):
                 found += alignment.constrain_as_one(best, is_certain=False)
             elif best is not None:
                 determined = [each for each in alignment.match_constraints(best) if each.determined]
@@ -257,7 +257,8 @@ class Hypothesis(NamedTuple):
     """A component tracked through the map of another one from the best of the hits that agree.
 
     `poses` (K, 3) are those of all its key scans; `log_likelihood` (nats) is that of either direction, the lesser;
-    `overlap` the ratio of the component's beams that end in what the map knows, `agreement` how well these agree.
+    `overlap` the ratio of the component's beams that end in what the map knows, `agreement` how well these agree; it
+    `is_open` if others within `MOST_BESIDE_M` fit as well.
     """
 
     poses: FloatArray
@@ -265,6 +266,7 @@ class Hypothesis(NamedTuple):
     squared_sigmas: float
     overlap: float
     agreement: float
+    is_open: bool = False
 
     @property
     def evidence(self) -> float:
@@ -315,20 +317,26 @@ class Alignment:
         return likelihood - begin.squared_sigmas
 
     def decide(self, hypotheses: list[Hypothesis]) -> Hypothesis | None:
-        """Return the best hypothesis if there is enough evidence for it and no other hypothesis is comparable."""
+        """Return the best hypothesis if there is enough evidence for it and none farther off is comparable.
+
+        One beside it leaves it open: both are one place, in which furniture was moved.
+        """
         best = max(hypotheses, key=lambda hypothesis: hypothesis.evidence, default=None)
         if best is None or best.log_likelihood < self.min_log_likelihood:
             return None
         if best.squared_sigmas > _GATE_SIGMAS**2:
             return None
         limit = self.ambiguity_ratio * best.evidence
-        if any(other.evidence > limit for other in hypotheses if best.distance_m(other) >= _MERGE_M):
-            return None
+        rivals_m = [best.distance_m(other) for other in hypotheses if other.evidence > limit]
         own = self._draw(best.poses)
         limit += best.squared_sigmas
-        shifts = _SHIFT_M * DIRECTIONS
-        is_comparable = any(self._score_both(best.poses + shift, own, shift, limit)[0] > limit for shift in shifts)
-        return None if is_comparable else best
+        for shift_m in _SHIFTS_M:
+            shifts = shift_m * DIRECTIONS
+            if any(self._score_both(best.poses + shift, own, shift, limit)[0] > limit for shift in shifts):
+                rivals_m.append(shift_m)
+        if max(rivals_m, default=0.0) >= MOST_BESIDE_M:
+            return None
+        return best._replace(is_open=max(rivals_m, default=0.0) >= _MERGE_M)
 
     def track_component(self, group: list[SearchHit]) -> Hypothesis:
         """Lay a component on the map from the best hit: as one, or tracked to both of its ends, whichever fits better.

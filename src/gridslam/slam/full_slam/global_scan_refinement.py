@@ -184,6 +184,7 @@ def refine_trajectory(
         the newest one was joined with. What is frozen is not searched for either.
     """
     graph = closure_state.graph
+    graph.constraints = leave_to_search(graph, searched)
     frozen = [c for c in graph.constraints if max(c.pair) < graph.frozen]
     known = [c for c in graph.constraints if c.source is ConstraintSource.TRACKED]
     known += [c for c in frozen if c.source is ConstraintSource.PROXIMITY]
@@ -226,6 +227,24 @@ def refine_trajectory(
     scores = {name: adjusted.score for name, adjusted in refinement.adjusted.items()}
     pairs = int(is_shown.sum())
     return RefinementResult(best, poses, information, maps, scores, measured, shown, pairs, sharpness_m, laser_errors)
+
+
+def leave_to_search(graph: KeyGraph, searched: int) -> list[Constraint]:
+    """Return the constraints but those that the search of the whole log decides: places recognized across a gap.
+
+    While the robot drove they were recognized without what was mapped later, which can show that they look like others.
+    What was tracked across a gap after the first of them rests on it. Drives, and the first `searched` key scans, were
+    joined otherwise.
+    """
+    gaps, kept, rests_on_place = graph.label_gaps(), [], False
+    drives = np.cumsum([graph.begins_drive(key) for key in range(len(graph))])
+    for constraint in graph.constraints:
+        ends = list(constraint.pair)
+        is_searched = max(ends) >= max(searched, graph.frozen) and bool(np.ptp(gaps[ends]) > np.ptp(drives[ends]) == 0)
+        rests_on_place = rests_on_place or (is_searched and constraint.source is ConstraintSource.RECOGNIZED)
+        if not (is_searched and rests_on_place) or constraint.source is ConstraintSource.BY_HAND:
+            kept.append(constraint)
+    return kept
 
 
 @final

@@ -17,7 +17,7 @@ _WALL_M = 2.0
 _BESIDE_M = 0.75
 """Furniture is moved about so far where all that scans see of it fits again."""
 _SAME_M = 0.3
-_MOST_BESIDE_M = 1.5
+MOST_BESIDE_M = 1.5
 """Places nearer to each other are one, and those farther off are not beside."""
 _RATIO = 0.9
 """Most evidence of walls for a place beside, as a fraction of that for the place."""
@@ -50,7 +50,7 @@ def leave_open(maps: TileMaps, walls: FloatArray, pose: FloatArray) -> bool:
     places = match_points(maps, pose + _BESIDE_M * DIRECTIONS, few).poses
     away = np.hypot(*between(pose, places)[:, :2].T)
     limit = _RATIO * _weigh(maps, few, pose)
-    beside = places[(away >= _SAME_M) & (away < _MOST_BESIDE_M)]
+    beside = places[(away >= _SAME_M) & (away < MOST_BESIDE_M)]
     return any(_weigh(maps, few, place) > max(limit, 0.0) for place in beside)
 
 
