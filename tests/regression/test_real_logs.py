@@ -72,8 +72,7 @@ def test_logs_of_key_scans(data_dir, name):
     for seed in (0,) if name == "acapulco" else (0, 1):
         full, alone = both(data_dir / "sparse" / f"{name}.clf.gz", seed, reference)
         assert full < SPARSE[name]
-        # belgioioso: its end is matched beside the start on one seed of two, 0.26 m
-        assert full < 1.05 * alone + (0.20 if name == "belgioioso" else 0.02)
+        assert full < 1.05 * alone + 0.02
 
 
 @pytest.mark.parametrize(("name", "every"), THINNED)
