@@ -129,16 +129,16 @@ def test_the_tracked_motion_with_the_constraints_of_the_drive_is_compared_where_
 @pytest.mark.parametrize(
     ("searched", "kept"),
     [
-        (0, ["TRACKED 0 2", "RECOGNIZED 0 1", "TRACKED 0 1", "BY_HAND 0 3", "RECOGNIZED 0 4", "TRACKED 1 4"]),
+        (0, ["TRACKED 0 2", "RECOGNIZED 0 1", "TRACKED 0 1", "RECOGNIZED 0 4", "TRACKED 1 4"]),
         (4, None),
     ],
 )
 def test_places_recognized_across_a_gap_are_left_to_the_search_of_the_whole_log(searched, kept):
-    """With what was tracked across a gap after them; not what a person said, nor what joins drives or older scans."""
+    """With what was tracked across a gap after them; not what joins drives or older scans."""
     graph = KeyGraph()
     for variances in ((1e-4, 1e-4), (1e-4, 1e-4), (4.0, 1e-4), (1e-4, 1e-4), UNKNOWN_VARIANCES):
         graph.extend(np.zeros(3), np.zeros(3), variances)
-    said = "TRACKED 0 2,RECOGNIZED 0 1,RECOGNIZED 1 3,TRACKED 1 2,TRACKED 0 1,BY_HAND 0 3,RECOGNIZED 0 4,TRACKED 1 4"
+    said = "TRACKED 0 2,RECOGNIZED 0 1,RECOGNIZED 1 3,TRACKED 1 2,TRACKED 0 1,RECOGNIZED 0 4,TRACKED 1 4"
     for source, from_, to in (each.split() for each in said.split(",")):
         pair = int(from_), int(to)
         graph.add(Constraint(*pair, np.zeros(3), np.eye(3), ConstraintSource[source], True))

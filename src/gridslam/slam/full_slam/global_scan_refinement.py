@@ -242,7 +242,7 @@ def leave_to_search(graph: KeyGraph, searched: int) -> list[Constraint]:
         ends = list(constraint.pair)
         is_searched = max(ends) >= max(searched, graph.frozen) and bool(np.ptp(gaps[ends]) > np.ptp(drives[ends]) == 0)
         rests_on_place = rests_on_place or (is_searched and constraint.source is ConstraintSource.RECOGNIZED)
-        if not (is_searched and rests_on_place) or constraint.source is ConstraintSource.BY_HAND:
+        if not (is_searched and rests_on_place):
             kept.append(constraint)
     return kept
 
@@ -253,7 +253,7 @@ class _Refinement:
     """One run of the refinement; it goes from candidate to candidate in the key graph of its state.
 
     `surfaces` and `fives` are those of the key scans, of longer lines and of five beams; `known` are revisits that the
-    robot knew of while it drove, those that a person added, and matches of frozen key scans; the first `searched` key
+    robot knew of while it drove, and matches of frozen key scans; the first `searched` key
     scans are not searched for again; `pairs` are submaps of all of the way, `stretches` short ones, of stretches
     without a gap in the laser data; `adjusted` are the candidates that were compared.
     """

@@ -81,7 +81,7 @@ def propose_revisits(
         best = max(hypotheses, key=lambda it: it.evidence, default=None)
         if best is not None and not alignment.is_left_open(best):
             found += alignment.constrain_as_one(best)
-    return [constraint for constraint in found if graph.allows(constraint)]
+    return found
 
 
 def _select_searches(

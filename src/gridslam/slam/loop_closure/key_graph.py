@@ -377,8 +377,7 @@ class KeyGraph:
     ) -> PoseGraph:
         """Everything as a pose graph: increments (T - 1, 3), then the loop-closure constraints.
 
-        Increments are trusted, and what a person has added.
-        The increments are the tracked ones if not given. `keys` and `constraints` limit the graph to the first of each.
+        The increments are trusted; they are the tracked ones if not given. `keys` and `constraints` limit the graph to the first of each.
         What is frozen is held, else the first pose alone.
         """
         poses = np.array(self.poses[:keys])
