@@ -32,10 +32,11 @@ GRIDSLAM_VERSIONS void strides_of(const float* GRIDSLAM_RESTRICT ex, const float
   }
 }
 
-// Takes the normals of the surfaces on which end i is the one at `first` strides, of three that miss a line by `aside`
-// cells at most, where none is known yet; `along` becomes what counts there of the gradient along the surface.
+// Takes the normals of the surfaces on which end i is the one at `first` strides, of three that miss a line by
+// `deviation` cells at most, where none is known yet; `along` becomes what counts there of the gradient along the
+// surface.
 GRIDSLAM_VERSIONS void surfaces_at(const float* GRIDSLAM_RESTRICT ex, const float* GRIDSLAM_RESTRICT ey,
-                                   const int32_t* GRIDSLAM_RESTRICT stride, int n, int first, float aside,
+                                   const int32_t* GRIDSLAM_RESTRICT stride, int n, int first, float deviation,
                                    float counting, float* GRIDSLAM_RESTRICT x, float* GRIDSLAM_RESTRICT y,
                                    float* GRIDSLAM_RESTRICT along) {
   for (int i = 0; i < n; ++i) {
@@ -45,7 +46,7 @@ GRIDSLAM_VERSIONS void surfaces_at(const float* GRIDSLAM_RESTRICT ex, const floa
     const float cx = ux + vx, cy = uy + vy, length = std::sqrt(cx * cx + cy * cy);
     const int inside = static_cast<int>(from >= 0) & static_cast<int>(to < n);
     const int onward = static_cast<int>(ux * vx + uy * vy > 0);
-    const int near = static_cast<int>(std::abs(ux * cy - uy * cx) <= aside * length);
+    const int near = static_cast<int>(std::abs(ux * cy - uy * cx) <= deviation * length);
     const int open = static_cast<int>(x[i] == 0.0f) & static_cast<int>(y[i] == 0.0f);
     const bool found = (inside & onward & near & open) != 0;
     const float nx = -cy / length, ny = cx / length;

@@ -23,6 +23,7 @@ from __future__ import annotations
 
 import math
 from functools import partial
+from itertools import product
 from typing import Any, NamedTuple, final
 
 import numpy as np
@@ -407,7 +408,7 @@ def _surfaces(ends: FloatArray, point_to_line: bool) -> tuple[FloatMap, NDArray[
     between = np.sqrt((steps * steps).sum(axis=1))
     apart = np.maximum(np.append(np.float32(0), between), np.append(between, np.float32(0)))
     left = np.arange(len(at))
-    for aside, first in ((aside, first) for aside in (_ASIDE, _ROUGH) for first in (-1, -2, 0)):
+    for deviation, first in product((_ASIDE, _ROUGH), (-1, -2, 0)):
         with np.errstate(divide="ignore", over="ignore"):
             stride = np.ceil(np.minimum(_BASE / apart[left], np.float32(len(ends)))).astype(np.int64)
         a, m, b = (left + (first + k) * stride for k in range(3))
@@ -418,9 +419,9 @@ def _surfaces(ends: FloatArray, point_to_line: bool) -> tuple[FloatMap, NDArray[
         chord = u + v
         length = np.sqrt((chord * chord).sum(axis=1))
         lies = (u * v).sum(axis=1) > 0
-        lies &= np.abs(u[:, 0] * chord[:, 1] - u[:, 1] * chord[:, 0]) <= aside * length
+        lies &= np.abs(u[:, 0] * chord[:, 1] - u[:, 1] * chord[:, 0]) <= deviation * length
         normals[i[lies]] = np.stack([-chord[:, 1], chord[:, 0]], axis=1)[lies] / length[lies, None]
-        is_straight[i[lies]] = aside == _ASIDE
+        is_straight[i[lies]] = deviation == _ASIDE
         left = np.setdiff1d(left, i[lies])
     return normals, is_straight
 

@@ -90,7 +90,7 @@ class TrackerState:
     odometry : Pose
         Of the last scan; NaN where it had none.
     matched_pose, matched_odometry : Pose
-        Of the last scan that was matched, from which odometry goes on.
+        Of the last scan that was matched where the odometry led to, from which it goes on.
     sensors : dict of str to SensorTrack
         The last of each laser.
     odometry_errors : OdometryErrorModel

@@ -83,7 +83,8 @@ class Tracker:
     beam_sigma_m : float, m
         Standard deviation of a beam's distance to the map against which the odometry's information is weighed. Far
         below a lidar's noise: beams are many, and wheel slip is not covered by any variance. With seven times as
-        much the Intel log is lost by 0.2 m and more.
+        much the Intel log is lost by 0.2 m and more. Once the odometry is calibrated its position weighs more, see
+        `Prediction.calibrated_prior`.
     min_inlier_ratio : float
         Minimum inlier ratio of a match; below it (mostly unmapped area, or a turn too fast for the scan rate) the
         prediction is used.

@@ -377,7 +377,8 @@ class KeyGraph:
     ) -> PoseGraph:
         """Everything as a pose graph: increments (T - 1, 3), then the loop-closure constraints.
 
-        The increments are trusted; they are the tracked ones if not given. `keys` and `constraints` limit the graph to the first of each.
+        The increments are trusted; they are the tracked ones if not given. `keys` and `constraints` limit the graph to
+        the first of each.
         What is frozen is held, else the first pose alone.
         """
         poses = np.array(self.poses[:keys])
