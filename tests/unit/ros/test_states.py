@@ -218,8 +218,8 @@ def test_page_log_and_diagnostics_report_the_same(name, tmp_path, monkeypatch, c
             def is_shown() -> bool:
                 seen.receive(line.recv(10))
                 line.send(json.dumps({"do": "ack"}))
-                words = "" if fault.state == "paused" else told.values["state"]
-                is_listed = any(message["text"] == told.values["state"] for message in seen.reported)
+                words = told.values["state"]
+                is_listed = any(message["text"] == words for message in seen.reported)
                 return is_listed and (seen.status["stage"], seen.status["state"]) == (fault.state, words)
 
             assert until(is_shown), seen.status
