@@ -86,6 +86,9 @@ def whole_logs(folder: Path) -> list[Whole]:
         _text("log.clf", carmen.replace(b"FLASER", b"RLASER", 3)),
         _text("log.clf", _robotlaser(measurements)),
         _text("log.csv", csv),
+        _text("log.csv", rostopic_rows(measurements)),
+        _text("echo.csv", echo_rows(measurements)),
+        _text("log.txt", point_rows(measurements)),
         _text("log.clf.gz", carmen, gzip.compress),
         _text("log.clf.bz2", carmen, bz2.compress),
         _packed("log.clf.gz", gzip.compress(carmen, mtime=0)),
@@ -96,6 +99,42 @@ def whole_logs(folder: Path) -> list[Whole]:
         path = _bag(folder, kind, _messages(measurements), compression)
         found.append(_packed(path.name, path.read_bytes()))
     return found + [_of_messages(folder, kind, measurements) for kind in (*ros_bags.KINDS, "ros1")]
+
+
+def rostopic_rows(measurements: Sequence[Measurement]) -> bytes:
+    """The scans as `rostopic echo -p` prints them."""
+    fields = ("angle_min", "angle_max", "angle_increment", "time_increment", "scan_time", "range_min", "range_max")
+    names = [f"field.{name}" for name in ("header.seq", "header.stamp", "header.frame_id", *fields)]
+    lines = [",".join(["%time", *names, *(f"field.ranges{k}" for k in range(len(measurements[0].scan)))])]
+    for number, (_, scan) in enumerate(measurements):
+        bearings = scan.geometry.bearings
+        angles = bearings[0], bearings[-1], bearings[1] - bearings[0]
+        values = (*angles, 0.0, 0.1, scan.range_min_m, scan.range_max_m, *scan.ranges)
+        lines.append(f"{scan.stamp_ns},{number},{scan.stamp_ns},laser,{','.join(f'{value:.9g}' for value in values)}")
+    return ("\n".join(lines) + "\n").encode()
+
+
+def echo_rows(measurements: Sequence[Measurement], *, with_intensities: bool = False) -> bytes:
+    """The scans as `ros2 topic echo --csv` prints them: without names."""
+    lines = []
+    for _, scan in measurements:
+        bearings = scan.geometry.bearings
+        angles = bearings[0], bearings[-1], bearings[1] - bearings[0]
+        bright = np.ones(len(scan)) if with_intensities else ()
+        values = (*angles, 0.0, 0.1, scan.range_min_m, scan.range_max_m, *scan.ranges, *bright)
+        seconds, nanoseconds = divmod(scan.stamp_ns, 10**9)
+        end = "" if with_intensities else ","  # an empty array is an empty cell
+        lines.append(f"{seconds},{nanoseconds},laser,{','.join(f'{value:.9g}' for value in values)}{end}")
+    return ("\n".join(lines) + "\n").encode()
+
+
+def point_rows(measurements: Sequence[Measurement]) -> bytes:
+    """The scans as rows of a time, an angle in degrees and a distance in mm."""
+    lines = ["t,angle_deg,dist_mm"]
+    for _, scan in measurements:
+        for bearing, distance in zip(np.degrees(scan.geometry.bearings), scan.ranges, strict=True):
+            lines.append(f"{scan.stamp_ns / 1e9:.3f},{bearing:.6f},{1000 * distance:.3f}")
+    return ("\n".join(lines) + "\n").encode()
 
 
 def _text(name: str, content: bytes, wrap: Callable[[bytes], bytes] = bytes) -> Whole:

@@ -16,6 +16,7 @@ import zlib
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import redirect_stderr, redirect_stdout, suppress
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
@@ -241,6 +242,11 @@ def _tables(folder: Path) -> Iterator[Family]:
         f"{1700000000000000000 + 10**8 * k},{x:.6f},{y:.6f},0,{math.cos(t / 2):.9f},0,0,{math.sin(t / 2):.9f},0.1"
         for k, (x, y, t) in enumerate(poses.tolist())
     ]
+    turns = [(math.cos(t), math.sin(t)) for t in poses[:, 2].tolist()]
+    kitti = [
+        f"{c:.9f} {-s:.9f} 0 {x:.6f} {s:.9f} {c:.9f} 0 {y:.6f} 0 0 1 0"
+        for (c, s), (x, y) in zip(turns, poses[:, :2].tolist(), strict=True)
+    ]
     relations = [f"{k}.5 {k + 1}.5 0.5 0.1 0 0 0 0.2" for k in range(20)]
     parameters = (
         "amcl:\n  ros__parameters:\n    max_particles: 2000\n    laser_model_type: likelihood_field\n"
@@ -248,11 +254,26 @@ def _tables(folder: Path) -> Iterator[Family]:
     )
     configuration = "particles = 10\n\n[motion]\nkind = 'DiffusionMotion'\n\n[tracker]\nmap_scans = 30\n"
     packed = [(gzip.compress, ".gz"), (bz2.compress, ".bz2")]
+    beams = [(scan, angle, 1000 + 10 * angle) for scan in range(3) for angle in range(0, 360, 9)]
+    named = [f"{'S ' * (not angle)} theta: {angle:.2f} Dist: {distance:08.2f} Q: 47" for _, angle, distance in beams]
+    echoed = [f"{k},{k},laser,0,1.9,0.1,0,0.1,0.1,12,{','.join(['1.5'] * 20)}" for k in range(9)]
+    numbered = ["scan_id,angle (°),dist_mm", *(f"{scan},{angle},{distance}" for scan, angle, distance in beams)]
+    points = ["t; angle [deg]; dist [mm]", *(f"{scan},5; {angle}; {distance}" for scan, angle, distance in beams)]
+
+    def read_scans(path: Path) -> None:
+        for _ in open_log(path):
+            pass
+
     for name, lines, read in (
         ("a.tum", rows, read_tum),
         ("a.euroc", euroc, read_trajectory),
+        ("a.kitti", kitti, partial(read_trajectory, stamps_ns=np.arange(30))),
         ("a.csv", [header, *table], read_trajectory_csv),
         ("a.relations", relations, read_relations),
+        ("a.named", named, read_scans),
+        ("a.points", points, read_scans),
+        ("a.numbered", numbered, read_scans),
+        ("a.echoed", echoed, read_scans),
         ("a.yaml", [parameters], read_parameter_file),
         ("a.toml", [configuration], load),
     ):

@@ -82,6 +82,7 @@ INNER_RANKS = {
         "tables": 1,
         "carmen": 2,
         "csv": 3,
+        "foreign_scans": 2,
         "g2o": 2,
         "landmark_logs": 2,
         "landmarks": 2,

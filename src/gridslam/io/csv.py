@@ -15,11 +15,12 @@ from numpy.typing import ArrayLike
 from gridslam.errors import ArgumentError, InputError
 from gridslam.geometry.angles import find_wrong_beam_angles, wrap
 from gridslam.io.even_beams import find_step, find_time_increment, require_hits_within_limits
+from gridslam.io.foreign_scans import ForeignRows, find_foreign_rows
 from gridslam.io.log_statistics import LogStatistics, Mounting
 from gridslam.io.measurement import FARTHEST_LASER_M, FARTHEST_M, Measurement
 from gridslam.io.output import open_for_writing, write_atomically
 from gridslam.io.tables import format_stamp_ns, parse_stamp_ns
-from gridslam.io.text import TextSource
+from gridslam.io.text import TextSource, read_head
 from gridslam.scan import LONGEST_SCAN_S
 from gridslam.types import BeamStatus, FloatArray, LaserScan, Odometry, ScanGeometry
 
@@ -92,6 +93,8 @@ def angles_of_rotation(rotation: ArrayLike) -> tuple[float, float, float]:
 class CsvLog:
     """Scans in CSV (plain, gzip or bzip2), one row each; iterating yields a `Measurement` for each row.
 
+    Tables of other programs, by `gridslam.io.foreign_scans`, are read, too.
+
     The first line names the columns, in any order; those that are not in `REQUIRED` may be missing, and their cells may
     be empty. Lines that begin with # are comments. Rows come in file order, whatever their stamps are.
 
@@ -125,11 +128,18 @@ class CsvLog:
         self.keep_truncated = keep_truncated
         self.statistics = LogStatistics(total_bytes=TextSource(path).total_bytes)
 
+    def _new_rows(self, statistics: LogStatistics) -> ForeignRows:
+        head = read_head(self.path, _HEAD_BYTES).decode("utf-8", "replace")
+        return find_foreign_rows(head, statistics) or _Rows(statistics)
+
     def __iter__(self) -> Iterator[Measurement]:
         """Read the log from its start."""
         source = TextSource(self.path)
         statistics = self.statistics = LogStatistics(total_bytes=source.total_bytes)
-        rows = _Rows(statistics)
+        try:
+            rows = self._new_rows(statistics)
+        except ValueError as error:
+            raise InputError(self.path, str(error), 1) from None
         for lines in source:
             statistics.bytes_read = source.bytes_read
             if source.unterminated:
@@ -137,6 +147,7 @@ class CsvLog:
             for line in lines:
                 statistics.lines += 1
                 yield from self._counted(partial(rows.parse, line))
+        yield from self._counted(rows.end)
         statistics.bytes_read = source.bytes_read
         statistics.truncated = source.is_truncated or source.unterminated
         if statistics.truncated and not self.keep_truncated:
@@ -225,6 +236,10 @@ class _Rows:
             frame=cells["frame"],
             beam_times_s=times,
         )
+
+    def end(self) -> Measurement | None:
+        """Return no scan: each row was one."""
+        return None
 
 
 def _parse_header(text: str) -> list[str]:

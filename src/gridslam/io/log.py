@@ -14,6 +14,7 @@ from gridslam.errors import ArgumentError, InputError
 from gridslam.io.carmen.lines import SCAN_TAGS
 from gridslam.io.carmen.reader import CarmenLog
 from gridslam.io.csv import CsvLog
+from gridslam.io.foreign_scans import is_foreign_table
 from gridslam.io.remote import fetch, is_url
 from gridslam.io.selection import Log, LogOptions, select
 from gridslam.io.text import open_for_reading, read_head
@@ -43,7 +44,7 @@ _OTHER_MAGIC = {
         (b"#ROSRECORD V", b"#ROSLOG V"),
         "a ROS 1 bag of the old format V1 (rosbag filter OLD.bag NEW.bag True writes it as V2.0)",
     ),
-    b"header:": "messages as text (the bag itself is read)",
+    b"header:": "messages as text (the table of rostopic echo -p -b BAG /scan is read, and so is the bag itself)",
     b"version https://git-lfs": "a pointer of Git LFS (fetch the file itself: git lfs pull)",
 }
 _NUMBER = re.compile(r"[-+]?(?:[\d.]+(?:e[-+]?\d+)?|inf|nan)", re.IGNORECASE)
@@ -131,7 +132,7 @@ def detect_log_format(path: str | Path) -> LogFormat:
     if not head or _has_carmen_tag(head):  # empty: cut off or damaged in the first block; reported by the reader
         return LogFormat.CARMEN
     first = _first_line(head)
-    if _is_scan_csv(first):
+    if _is_scan_csv(first) or is_foreign_table(head.decode("utf-8", "replace")):
         return LogFormat.CSV
     raise InputError(path, f"expected {_LOG_FORMATS}, got {_looks_like(head, first)}")
 
@@ -163,7 +164,7 @@ def _looks_like(head: bytes, line: str) -> str:
     if line == CSV_HEADER or _is_tum(line):
         return "poses without scans (a trajectory, or relations)"
     if all(map(_NUMBER.fullmatch, re.split(r"[ ,;\t]+", line.strip(" ,;\t").strip("()[]")))):
-        return "numbers without a line of names (docs/logs.md shows how to make a CSV of scans)"
+        return "numbers without a line of names (such as angle_deg,dist_mm)"
     if line.startswith(("VERTEX", "EDGE")):
         return "a pose graph (gridslam graph solves it)"
     if line.startswith(("<!", "<html", "<?xml")):

@@ -85,7 +85,7 @@ def _measure_error(trajectory: Trajectory, log: str, reference: Path) -> float:
             return relation_errors(trajectory, _clip_relations(read_relations(reference), trajectory)).trans_mean_m
         if is_log(reference):
             raise InputError(reference, "expected a trajectory or relations, got a log")
-        return absolute_errors(trajectory, read_trajectory(reference)).trans_rmse_m
+        return absolute_errors(trajectory, read_trajectory(reference, trajectory.stamps_ns)).trans_rmse_m
     except ArgumentError as error:
         raise InputError(reference, f"cannot be compared with {log}: {error}") from None
 
