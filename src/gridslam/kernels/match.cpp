@@ -32,13 +32,11 @@ GRIDSLAM_VERSIONS void strides_of(const float* GRIDSLAM_RESTRICT ex, const float
   }
 }
 
-// Takes the normals of the surfaces on which end i is the one at `first` strides, of three that miss a line by
-// `deviation` cells at most, where none is known yet; `along` becomes what counts there of the gradient along the
-// surface.
-GRIDSLAM_VERSIONS void surfaces_at(const float* GRIDSLAM_RESTRICT ex, const float* GRIDSLAM_RESTRICT ey,
-                                   const int32_t* GRIDSLAM_RESTRICT stride, int n, int first, float deviation,
-                                   float counting, float* GRIDSLAM_RESTRICT x, float* GRIDSLAM_RESTRICT y,
-                                   float* GRIDSLAM_RESTRICT along) {
+// Takes the walls on which end i is the one at `first` strides, of three, where none is known yet.
+GRIDSLAM_VERSIONS void walls_on(const float* GRIDSLAM_RESTRICT ex, const float* GRIDSLAM_RESTRICT ey,
+                                const int32_t* GRIDSLAM_RESTRICT stride, int n, int first, float* GRIDSLAM_RESTRICT x,
+                                float* GRIDSLAM_RESTRICT y, float* GRIDSLAM_RESTRICT along) {
+  constexpr float kAside = 0.6f;  // cells: more than a lidar scatters; walls that scatter more are not straight
   for (int i = 0; i < n; ++i) {
     const int from = i + first * stride[i], to = from + 2 * stride[i];
     const int a = std::max(from, 0), b = std::min(to, n - 1), m = std::min(a + stride[i], n - 1);
@@ -46,29 +44,24 @@ GRIDSLAM_VERSIONS void surfaces_at(const float* GRIDSLAM_RESTRICT ex, const floa
     const float cx = ux + vx, cy = uy + vy, length = std::sqrt(cx * cx + cy * cy);
     const int inside = static_cast<int>(from >= 0) & static_cast<int>(to < n);
     const int onward = static_cast<int>(ux * vx + uy * vy > 0);
-    const int near = static_cast<int>(std::abs(ux * cy - uy * cx) <= deviation * length);
-    const int open = static_cast<int>(x[i] == 0.0f) & static_cast<int>(y[i] == 0.0f);
-    const bool found = (inside & onward & near & open) != 0;
+    const int near = static_cast<int>(std::abs(ux * cy - uy * cx) <= kAside * length);
+    const bool found = (inside & onward & near & static_cast<int>(along[i] != 0.0f)) != 0;
     const float nx = -cy / length, ny = cx / length;
-    x[i] = found ? nx : x[i], y[i] = found ? ny : y[i], along[i] = found ? counting : along[i];
+    x[i] = found ? nx : x[i], y[i] = found ? ny : y[i], along[i] = found ? 0.0f : along[i];
   }
 }
 
-// Normals of the surfaces on which ends lie, in the frame of the ends, (0, 0) where they lie on none; `along` is 0 on
-// straight walls, else 1.
+// Normals of the straight walls on which ends lie, in the frame of the ends, (0, 0) where they lie on none, and then
+// `along` is 1.
 struct Walls {
   std::vector<float> x, y, along;
   Walls(const Ends& ends, bool point_to_line) : x(ends.x.size(), 0.0f), y(x), along(x.size(), 1.0f) {
     if (!point_to_line || ends.n == 0) return;
-    constexpr float kAside = 0.6f;  // cells: more than a lidar scatters; walls that scatter more are not straight
-    constexpr float kRough = 1.5f;  // more than a lidar scatters whose ranges come in steps of a cell
     std::vector<float> gap(ends.n + 1);
     std::vector<int32_t> stride(ends.n);
     strides_of(ends.x.data(), ends.y.data(), ends.n, gap.data(), stride.data());
-    for (const bool straight : {true, false})
-      for (const int first : {-1, -2, 0})  // the end itself is the middle of three, or the last, or the first
-        surfaces_at(ends.x.data(), ends.y.data(), stride.data(), ends.n, first, straight ? kAside : kRough,
-                    straight ? 0.0f : 1.0f, x.data(), y.data(), along.data());
+    for (const int first : {-1, -2, 0})  // the end itself is the middle of three, or the last, or the first
+      walls_on(ends.x.data(), ends.y.data(), stride.data(), ends.n, first, x.data(), y.data(), along.data());
   }
 };
 
@@ -86,7 +79,7 @@ struct Residuals {
 };
 
 // The field at n ends and its gradient, across the wall alone where an end lies on one; `beyond` is positive where the
-// gradient leans far from the surface's normal.
+// gradient leans far from the wall's normal.
 GRIDSLAM_VERSIONS void differentiate(const uint32_t* GRIDSLAM_RESTRICT corners, const float* GRIDSLAM_RESTRICT a,
                                      const float* GRIDSLAM_RESTRICT b, const float* GRIDSLAM_RESTRICT wx,
                                      const float* GRIDSLAM_RESTRICT wy, const float* GRIDSLAM_RESTRICT along, float c,
@@ -101,12 +94,11 @@ GRIDSLAM_VERSIONS void differentiate(const uint32_t* GRIDSLAM_RESTRICT corners, 
     const float across = gu * nx + gv * ny;
     value[j] = f.value;
     beyond[j] = (nx * nx + ny * ny) * (gu * gu + gv * gv) - kBeyond * across * across;
-    const float only = (1.0f - along[j]) * across;
-    ju[j] = only * nx + along[j] * gu, jv[j] = only * ny + along[j] * gv;
+    ju[j] = across * nx + along[j] * gu, jv[j] = across * ny + along[j] * gv;
   }
 }
 
-// A surface goes on where it is not mapped yet: its mapped part's end, the nearest there, is not informative.
+// A wall goes on where it is not mapped yet: its mapped part's end, the nearest there, is not informative.
 void ignore_beyond(const Maps& m, const int32_t* root, int n, Residuals& r) {
   int32_t* asked = r.asked.data();
   const float* beyond = r.beyond.data();

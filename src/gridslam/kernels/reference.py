@@ -23,7 +23,6 @@ from __future__ import annotations
 
 import math
 from functools import partial
-from itertools import product
 from typing import Any, NamedTuple, final
 
 import numpy as np
@@ -93,7 +92,6 @@ _SINGULAR = 1e-18  # least eigenvalue of a matrix that can be inverted
 _PIN = 1e6  # information, 1 / cell^2, that pins the guess along an undetermined direction
 _BASE = np.float32(6.0)  # cells between the ends that must lie on a line to be a wall
 _ASIDE = np.float32(0.6)  # cells by which they may miss it: more than a lidar scatters
-_ROUGH = np.float32(1.5)  # and those of a surface: more than a lidar whose ranges come in steps of a cell scatters
 _BEYOND = 3.0  # the gradient leans 55 degrees from the normal of the wall: there its mapped part ends
 
 
@@ -294,7 +292,7 @@ def match(
     from the guess and P its information, in m and rad, by the weights w_b = 1 / (1 + (d_b / c)^2). A step is clipped to
     `max_step_cells` and `max_step_rad`; one below both `stop_cells` and `stop_rad` is the last. Along a direction with
     less information than `min_information` per agreeing beam the guess is held. If `point_to_line`, ends on a straight
-    wall count only across it, and those in unknown cells whose nearest obstacle lies along their surface rather than
+    wall count only across it, and those in unknown cells whose nearest obstacle lies along their wall rather than
     across are ignored entirely.
 
     Returns
@@ -314,7 +312,7 @@ def match(
     guess = guesses / unit
     pose = guess.copy()
     going = np.flatnonzero(np.isfinite(guesses).all(axis=1))
-    settings = ends / resolution, *_surfaces(ends * (1 / resolution), point_to_line), cauchy_cells, reach_cells
+    settings = ends / resolution, _walls(ends * (1 / resolution), point_to_line), cauchy_cells, reach_cells
     for _ in range(max_iterations):
         lookup = _Field(roots, first, pages, field, rows[going])
         h, g, score = _linearize(lookup, log_odds, pose[going], *settings)
@@ -365,8 +363,7 @@ def _linearize(
     log_odds: LogOdds,
     poses: FloatArray,
     ends: FloatArray,
-    surfaces: FloatMap,
-    is_straight: NDArray[np.bool_],
+    walls: FloatMap,
     cauchy_cells: float,
     reach_cells: float,
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
@@ -378,12 +375,12 @@ def _linearize(
     gradient = -to_cells * np.stack([du, dv], axis=-1).astype(np.float64)
     c = np.cos(poses[:, 2])
     s = np.sin(poses[:, 2])
-    normals = surfaces @ np.stack([c, s, -s, c], axis=-1).reshape(-1, 2, 2)
+    normals = walls @ np.stack([c, s, -s, c], axis=-1).reshape(-1, 2, 2)
     slope = (gradient * normals).sum(axis=-1, keepdims=True)
     beyond = (normals**2).sum(axis=-1) * (gradient**2).sum(axis=-1) > _BEYOND * slope[..., 0] ** 2
     cells = np.floor(cells_within(np.array([v, u]))).astype(np.int64)
     beyond &= log_odds.reshape(-1)[lookup.cell_addresses(*cells)] == unknown_of(log_odds)
-    constraining = np.where(is_straight[:, None], slope * normals, gradient)
+    constraining = np.where((normals**2).sum(axis=-1, keepdims=True) > 0, slope * normals, gradient)
     ju, jv = np.moveaxis(np.where(beyond[..., None], 0.0, constraining), -1, 0)
     jacobian = np.stack([ju, jv, jv * (u - poses[:, :1]) - ju * (v - poses[:, 1:2])], axis=-1)
     weight = 1.0 / (1.0 + (d / cauchy_cells) ** 2)
@@ -391,24 +388,23 @@ def _linearize(
     return weighted @ jacobian, (weighted @ d[..., None])[..., 0], weight.sum(axis=1)
 
 
-def _surfaces(ends: FloatArray, point_to_line: bool) -> tuple[FloatMap, NDArray[np.bool_]]:
-    """Normals (B, 2) of the surfaces on which ends (B, 2) lie, in cells, and which are straight walls (B,).
+def _walls(ends: FloatArray, point_to_line: bool) -> FloatMap:
+    """Normals (B, 2) of the straight walls on which ends (B, 2) lie, in cells; 0 on none, or not `point_to_line`.
 
-    An end lies on a surface where three ends that are equally many beams apart, such that `_BASE` cells would lie
-    between them were all as far apart as here, follow one another along a line to 1.5 cells; on a straight wall, to 0.6
-    cells. The end is the middle one of the three; else, at the end of a surface, the last; else the first. Normals are
-    0 on none, or not `point_to_line`. All is in single precision, so that the kernel decides alike.
+    An end lies on a wall where three ends that are equally many beams apart, such that `_BASE` cells would lie between
+    them were all as far apart as here, follow one another along a line to 0.6 cells. The end is the middle one of the
+    three; else, at the end of a wall, the last; else the first. All is in single precision, so that the kernel decides
+    alike.
     """
     at = ends.astype(np.float32)
     normals = np.zeros_like(at)
-    is_straight = np.zeros(len(at), np.bool_)
     if not point_to_line or len(ends) < 3:
-        return normals, is_straight
+        return normals
     steps = np.diff(at, axis=0)
     between = np.sqrt((steps * steps).sum(axis=1))
     apart = np.maximum(np.append(np.float32(0), between), np.append(between, np.float32(0)))
     left = np.arange(len(at))
-    for deviation, first in product((_ASIDE, _ROUGH), (-1, -2, 0)):
+    for first in (-1, -2, 0):
         with np.errstate(divide="ignore", over="ignore"):
             stride = np.ceil(np.minimum(_BASE / apart[left], np.float32(len(ends)))).astype(np.int64)
         a, m, b = (left + (first + k) * stride for k in range(3))
@@ -418,12 +414,11 @@ def _surfaces(ends: FloatArray, point_to_line: bool) -> tuple[FloatMap, NDArray[
         v = at[b] - at[m]
         chord = u + v
         length = np.sqrt((chord * chord).sum(axis=1))
-        lies = (u * v).sum(axis=1) > 0
-        lies &= np.abs(u[:, 0] * chord[:, 1] - u[:, 1] * chord[:, 0]) <= deviation * length
-        normals[i[lies]] = np.stack([-chord[:, 1], chord[:, 0]], axis=1)[lies] / length[lies, None]
-        is_straight[i[lies]] = deviation == _ASIDE
-        left = np.setdiff1d(left, i[lies])
-    return normals, is_straight
+        straight = (u * v).sum(axis=1) > 0
+        straight &= np.abs(u[:, 0] * chord[:, 1] - u[:, 1] * chord[:, 0]) <= _ASIDE * length
+        normals[i[straight]] = np.stack([-chord[:, 1], chord[:, 0]], axis=1)[straight] / length[straight, None]
+        left = np.setdiff1d(left, i[straight])
+    return normals
 
 
 def _pin_degenerate(h: FloatArray, least: FloatArray) -> FloatArray:

@@ -56,9 +56,9 @@ class GaussNewton:
     point_to_line : bool
         Ends of beams on a straight wall count only across it: along it there is nothing to see, and what the map shows
         there are its cells, which move with the robot: every scan of a corridor hits them in the same places, and they
-        would hold the robot where it is. Ends on any surface, in unknown cells, whose nearest obstacle lies along the
-        surface do not count at all: it goes on where it is not mapped yet, and they would be pulled back to where its
-        mapped part ends. A robot that drives backwards sees mostly such ends. Else all count as in the field.
+        would hold the robot where it is. Ends on a straight wall, in unknown cells, whose nearest obstacle lies along
+        the wall do not count at all: it goes on where it is not mapped yet, and they would be pulled back to where its
+        mapped part ends. Else all count as in the field.
 
     Attributes
     ----------
