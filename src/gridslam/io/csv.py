@@ -62,6 +62,7 @@ _OF_LASER = (
 """Columns whose values are the same in all scans of one laser."""
 
 _EVEN = 1e-9  # rad and s: beams that differ by less are evenly spread
+_HEAD_BYTES = 1 << 16
 _DEFAULTS = {"sensor": "laser", "frame": "laser", "range_max_m": "inf"} | dict.fromkeys((*LASER, "range_min_m"), "0")
 _Cells: TypeAlias = Mapping[str, str]
 
