@@ -60,6 +60,9 @@ _SLIP_SIGMAS = 4.0
 _MATCHED_TURN_RAD = 0.2
 """A scan within which the robot turned by half as much more than it was corrected for is still matched."""
 
+_MANY_BEAMS = 100
+"""Beams from which on those that end in known cells, some tens then, decide: a few fit in many places."""
+
 _MAX_UNMATCHED_SCANS = 3
 """Without odometry, a scan is inserted without a valid match after this many consecutive failures."""
 
@@ -300,7 +303,7 @@ class Tracker:
         pose = match.pose
         count = len(beams)
         ratio = match.score / count
-        if ratio < self.min_inlier_ratio and not is_sparse:
+        if ratio < self.min_inlier_ratio and count >= _MANY_BEAMS and not is_sparse:
             # much of what is seen may be new: after a wide turn, or of a narrow laser
             of_known = known_inlier_ratio(state, match, beams, matcher)
             ratio = of_known if of_known >= self.search_inlier_ratio else ratio
