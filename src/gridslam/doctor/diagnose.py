@@ -38,7 +38,6 @@ _ONLY_WHOLE = ("standing_still", "robot_carried")
 _OF_READER_AT_ONCE = ("missing_files", "missing_transform", "clock_skew")
 _REPORTED_ELSEWHERE = ("unreadable",)
 _MISMOUNTED = ("tilting_laser", "laser_far_away")
-_MIRRORED = ("odometry_mirrored", "reflected_laser")
 _OF_TWO_CLOCKS = ("odometry_unrelated", "no_odometry")
 _OF_ODOMETRY = ("odometry_scale", "odometry_rotation_bias", "odometry_drift", "odometry_unrelated")
 _CONSEQUENCES = {
@@ -239,10 +238,9 @@ class Doctor:
         yield from mixed
         no_reference |= {finding.sensor for finding in [*implausible, *mixed]}
         held_back = {finding.sensor for finding in of_limits if finding.severity is Severity.ERROR}
+        for sensor in set(self._lasers) - no_reference:
+            yield from self._lasers[sensor].breaks.findings(sensor)
         matched = [] if self._motion is None else list(self._motion.findings(no_reference | held_back))
-        if not any(finding.code in _MIRRORED for finding in matched):  # then no scan is where odometry predicts it
-            for sensor in set(self._lasers) - no_reference:
-                yield from self._lasers[sensor].breaks.findings(sensor)
         yield from (finding for finding in matched if finding.sensor not in no_reference)
 
     def diagnosis(self, log: Log, findings: Iterable[Finding]) -> Diagnosis:

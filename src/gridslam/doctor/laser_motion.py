@@ -20,7 +20,7 @@ from gridslam.types import FloatArray, IntArray, LaserScan, ScanGeometry
 
 _MOST_BEAMS = 360
 _ORDER_SCANS = 300  # informative scans whose order of beams is tried: more cost time and change nothing
-_RANGES_M = (0.05, 30.0)
+RANGES_M = (0.05, 30.0)
 _FEWEST_BEAMS = 20
 _STRETCH = 500  # scans that are matched, or skipped, together
 _WHOLE_STRETCHES = 40  # segments matched without a gap; of later ones fewer and fewer
@@ -219,7 +219,7 @@ class LaserMotionEstimator:
             self._sensor = self._sensor or scan.sensor
             turn = adjoint(planar_mounting(scan.geometry) * [0.0, 0.0, 1.0])[:2, :2]
             self._directions = scan.geometry.directions @ turn
-        used = scan.beams(*_RANGES_M).indices
+        used = scan.beams(*RANGES_M).indices
         used = used[:: -(-len(used) // _MOST_BEAMS) or 1]
         return self._directions[used] * scan.ranges[used, None], used
 

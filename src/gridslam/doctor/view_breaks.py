@@ -13,13 +13,14 @@ from typing import Generic, TypeVar, final
 import numpy as np
 
 from gridslam.doctor.finding import Finding, Severity
+from gridslam.doctor.laser_motion import RANGES_M
 from gridslam.doctor.scan_prediction import PolarScan
 from gridslam.doctor.views import OTHER, SAME, View
 from gridslam.geometry.se2 import between
 from gridslam.io.measurement import Measurement
 from gridslam.mapping.occupancy_grid_mapping import OccupancyGridMapping
 from gridslam.matching.branch_and_bound import BranchAndBound, Pyramid
-from gridslam.matching.gauss_newton import NO_PRIOR, GaussNewton, weigh_known_beams
+from gridslam.matching.gauss_newton import NO_PRIOR, GaussNewton, known_inlier_ratio
 from gridslam.types import FloatArray
 
 _Item = TypeVar("_Item")
@@ -33,9 +34,6 @@ _FEWEST = 8  # of them that have enough in common with the view from before to d
 _MOSTLY = 0.75  # of the scans after it that agree with the one before: a laser that fails sees another room in each
 _NEARBY = BranchAndBound(window_m=0.5, window_rad=1.6, min_score=0.1)  # where slipping wheels may have left the robot
 _SAME_PLACE = 0.88  # inlier ratio there: of 50 other places in simulated buildings none reached 0.86
-_LEAST_COMMON = 0.4  # of the beams
-_RANGE_MIN_M, _RANGE_MAX_M = 0.05, 30.0
-_CAUCHY_M = 0.1
 _SHOWN = 5
 _MOST_HELD = 100  # scans: a laser that falls silent decides nothing
 
@@ -72,17 +70,15 @@ class _Candidate:
 
 def _fits_nearby(before: View, after: View) -> bool:
     """Return whether a scan fits the one before near where the odometry has it: wheels slip when a robot is pushed."""
-    mapper = OccupancyGridMapping()
-    known, beams = (view.scan.beams(_RANGE_MIN_M, _RANGE_MAX_M) for view in (before, after))
-    maps = mapper.empty(1)
-    row = np.zeros(1, np.int32)
+    known, beams = (view.scan.beams(*RANGES_M) for view in (before, after))
+    maps, row = OccupancyGridMapping().empty(1), np.zeros(1, np.int32)
     maps.update(row, np.zeros((1, 3)), known)
     place = _NEARBY.search(Pyramid.of(maps, 0), between(before.pose, after.pose), None, beams.ends)
     if place is None:
         return False
-    (pose,) = GaussNewton()(maps, row, place.pose[None], NO_PRIOR[None], beams).poses
-    weights = weigh_known_beams(maps, row, pose, beams.ends, _CAUCHY_M)
-    return bool(weights.sum() >= _SAME_PLACE * max(len(weights), _LEAST_COMMON * len(beams)))
+    matcher = GaussNewton()
+    (pose,) = matcher(maps, row, place.pose[None], NO_PRIOR[None], beams).poses
+    return known_inlier_ratio(maps, row, pose, beams.ends, matcher.cauchy_m) >= _SAME_PLACE
 
 
 @final

@@ -170,3 +170,16 @@ def weigh_known_beams(
     """Cauchy weights (K,) of those of the ends of beams (B, 2), seen from a pose (3,), that lie in known cells."""
     known = maps.is_known(int(row[0]), ends, pose)
     return cauchy_weights(maps.distances(row, pose[None], ends)[0, known], scale_m)
+
+
+_MIN_OVERLAP = 0.4
+"""Minimum ratio of beams that must end in known cells to be judged alone: of scans far apart much is new."""
+
+
+def known_inlier_ratio(maps: TileMaps, row: Int32Array, pose: FloatArray, ends: FloatArray, scale_m: float) -> float:
+    """Inlier ratio of those of the ends of beams (B, 2), seen from a pose (3,), that lie in known cells.
+
+    Where too few do, the missing ones count as outliers.
+    """
+    weights = weigh_known_beams(maps, row, pose, ends, scale_m)
+    return float(weights.sum()) / max(len(weights), _MIN_OVERLAP * len(ends))

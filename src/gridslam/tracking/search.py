@@ -10,7 +10,7 @@ import numpy as np
 
 from gridslam.geometry.single_pose import Pose, as_pose
 from gridslam.matching.branch_and_bound import BranchAndBound, Pyramid
-from gridslam.matching.gauss_newton import NO_INFORMATION, GaussNewton, PoseMatch, weigh_known_beams
+from gridslam.matching.gauss_newton import NO_INFORMATION, GaussNewton, known_inlier_ratio
 from gridslam.parameters import bounded, parameters
 from gridslam.tracking.odometry_calibration import MIN_SEGMENTS
 from gridslam.tracking.prediction import MAX_INTERVAL_S, PoseEstimate, Prediction
@@ -41,10 +41,6 @@ _MAX_AMBIGUITY = 0.85
 _MIN_SIGMA_M = 0.05
 """Minimum standard deviation of the position, which is the one learned once it is: where the odometry has been right to
 centimetres, a place half a metre off is another one that looks alike."""
-
-_MIN_OVERLAP = 0.4
-"""Minimum ratio of beams that end in known cells of the local map; the others are ignored. With sparse scans, much of
-each is new."""
 
 _BASIN_M = 0.1
 _BASIN_RAD = 0.05
@@ -163,12 +159,6 @@ def calibrated(matcher: GaussNewton) -> GaussNewton:
     return replace(matcher, min_information=max(matcher.min_information, _CALIBRATED_INFORMATION))
 
 
-def known_inlier_ratio(state: TrackerState, match: PoseMatch, beams: BeamEnds, matcher: GaussNewton) -> float:
-    """Inlier ratio of a match, of the beams that end in known cells of the local map."""
-    weights = weigh_known_beams(state.maps, state.row, np.array(match.pose), beams.ends, matcher.cauchy_m)
-    return float(weights.sum()) / max(len(weights), _MIN_OVERLAP * len(beams))
-
-
 def _refine(
     state: TrackerState, pose: Pose, predicted: Prediction, beams: BeamEnds, matcher: GaussNewton
 ) -> PoseEstimate:
@@ -184,7 +174,7 @@ def _refine(
         along = np.array(match.pose)
         along[:2] -= axis * float(axis @ (along - predicted.pose)[:2])
         match = held.match_pose(state.maps, state.matched_map, as_pose(along), NO_INFORMATION, beams)
-    inlier_ratio = known_inlier_ratio(state, match, beams, matcher)
+    inlier_ratio = known_inlier_ratio(state.maps, state.row, np.array(match.pose), beams.ends, matcher.cauchy_m)
     return PoseEstimate(
         match.pose,
         predicted,

@@ -19,7 +19,7 @@ from gridslam.errors import ArgumentError
 from gridslam.geometry.single_pose import Pose, as_pose, between, compose, is_known, motion_of
 from gridslam.grid.scan_batch import ScanBatch
 from gridslam.mapping.occupancy_grid_mapping import OccupancyGridMapping
-from gridslam.matching.gauss_newton import EVALUATE_ONLY, NO_INFORMATION, GaussNewton, PoseMatch
+from gridslam.matching.gauss_newton import EVALUATE_ONLY, NO_INFORMATION, GaussNewton, PoseMatch, known_inlier_ratio
 from gridslam.matching.surfaces import Surfaces
 from gridslam.parameters import Kind, bounded, parameters
 from gridslam.tracking.odometry_calibration import OdometryCalibration
@@ -30,7 +30,7 @@ from gridslam.tracking.prediction import (
     Prediction,
     predict_by_odometry,
 )
-from gridslam.tracking.search import OdometrySearch, calibrated, known_inlier_ratio, local_pyramid
+from gridslam.tracking.search import OdometrySearch, calibrated, local_pyramid
 from gridslam.tracking.state import (
     Control,
     SensorTrack,
@@ -305,7 +305,7 @@ class Tracker:
         ratio = match.score / count
         if ratio < self.min_inlier_ratio and count >= _MANY_BEAMS and not is_sparse:
             # much of what is seen may be new: after a wide turn, or of a narrow laser
-            of_known = known_inlier_ratio(state, match, beams, matcher)
+            of_known = known_inlier_ratio(state.maps, state.row, np.array(pose), beams.ends, matcher.cauchy_m)
             ratio = of_known if of_known >= self.search_inlier_ratio else ratio
         if ratio < self.min_inlier_ratio:
             return PoseEstimate(predicted.pose, predicted, matched=True, lost=True)
