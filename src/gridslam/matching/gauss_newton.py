@@ -16,7 +16,7 @@ from gridslam.grid.scan_batch import ScanBatch
 from gridslam.grid.tiles import TileMaps
 from gridslam.kernels.reference_update import Int32Array
 from gridslam.parameters import bounded, parameters
-from gridslam.types import BeamEnds, FloatArray, Match, Poses, Rows
+from gridslam.types import BeamEnds, FloatArray, Match, Poses, Rows, StoredScan
 
 MIN_INFORMATION = 0.005
 """Minimum eigenvalue of the position information per inlier beam of a non-degenerate match."""
@@ -156,6 +156,18 @@ def _degenerate_direction(information: Information, score: float, least: float) 
         return None
     angle = 0.5 * math.atan2(2 * b, a - c)  # of the strongest direction
     return -math.sin(angle), math.cos(angle)
+
+
+def thin(beams: BeamEnds, side_m: float) -> BeamEnds:
+    """Keep one of successive ends of beams in a square of this side: they see the same part of an obstacle.
+
+    What is wrong there is wrong for all of them: a person who walks along, or the end of a wall's mapped part beside a
+    robot that drives backwards. Most beams end near the robot, and would outweigh the few that determine its place
+    along a corridor.
+    """
+    squares = np.floor(beams.ends / side_m)
+    is_first = np.append(True, (squares[1:] != squares[:-1]).any(axis=1))
+    return StoredScan(beams.ends[is_first], beams.origin)
 
 
 def cauchy_weights(distances: NDArray[np.float32], scale_m: float) -> NDArray[np.float32]:

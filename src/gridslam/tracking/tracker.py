@@ -19,7 +19,14 @@ from gridslam.errors import ArgumentError
 from gridslam.geometry.single_pose import Pose, as_pose, between, compose, is_known, motion_of
 from gridslam.grid.scan_batch import ScanBatch
 from gridslam.mapping.occupancy_grid_mapping import OccupancyGridMapping
-from gridslam.matching.gauss_newton import EVALUATE_ONLY, NO_INFORMATION, GaussNewton, PoseMatch, known_inlier_ratio
+from gridslam.matching.gauss_newton import (
+    EVALUATE_ONLY,
+    NO_INFORMATION,
+    GaussNewton,
+    PoseMatch,
+    known_inlier_ratio,
+    thin,
+)
 from gridslam.matching.surfaces import Surfaces
 from gridslam.parameters import Kind, bounded, parameters
 from gridslam.tracking.odometry_calibration import OdometryCalibration
@@ -298,11 +305,14 @@ class Tracker:
         known = self._is_calibrated(state)
         matcher = self._calibrated_matcher if known else self.matcher
         is_sparse = self.search.is_sparse(state)
-        prior = predicted.calibrated_prior if known and not is_sparse else predicted.prior
-        match = matcher.match_pose(state.maps, state.matched_map, predicted.pose, prior, beams)
+        prior, matched = predicted.prior, beams
+        if known and not is_sparse:
+            prior, matched = predicted.calibrated_prior, thin(beams, matcher.cauchy_m)
+        match = matcher.match_pose(state.maps, state.matched_map, predicted.pose, prior, matched)
         pose = match.pose
         count = len(beams)
-        ratio = match.score / count
+        score = _score(state, pose, beams)
+        ratio = score / count
         if ratio < self.min_inlier_ratio and count >= _MANY_BEAMS and not is_sparse:
             # much of what is seen may be new: after a wide turn, or of a narrow laser
             of_known = known_inlier_ratio(state.maps, state.row, np.array(pose), beams.ends, matcher.cauchy_m)
@@ -311,7 +321,7 @@ class Tracker:
             return PoseEstimate(predicted.pose, predicted, matched=True, lost=True)
         stayed = (predicted.pose[0], predicted.pose[1], pose[2])
         if math.hypot(pose[0] - predicted.pose[0], pose[1] - predicted.pose[1]) > self._slip_limit_m(predicted):
-            gain = (match.score - _score(state, stayed, beams)) / count
+            gain = (score - _score(state, stayed, beams)) / count
             pose = pose if gain > self._required_gain(state, predicted, pose) else stayed
         direction = match.degenerate_direction(matcher.min_information)
         determined = direction is None and pose is not stayed and (known or self._is_determined(match))

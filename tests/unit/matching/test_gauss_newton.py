@@ -8,8 +8,8 @@ import pytest
 
 from gridslam.grid import Evidence, TileMaps
 from gridslam.matching import GaussNewton
-from gridslam.matching.gauss_newton import degenerate_direction
-from gridslam.types import LaserScan, ScanGeometry
+from gridslam.matching.gauss_newton import degenerate_direction, thin
+from gridslam.types import LaserScan, ScanGeometry, StoredScan
 
 CELL = 0.05
 ROW = np.zeros(1, np.int32)
@@ -169,3 +169,9 @@ def test_a_wall_goes_on_where_it_is_not_mapped_yet(half):
     assert drawn[0] > 0.01
     assert np.abs(free).max() < 0.0075
     assert free[0] < 0.6 * drawn[0]
+
+
+def test_successive_ends_in_one_square_count_once():
+    ends = np.array([[0.01, 0.01], [0.05, 0.09], [0.11, 0.05], [-0.01, 0.05], [-0.09, 0.01], [0.02, 0.02]])
+    kept = thin(StoredScan(ends, np.zeros(2)), 0.1)
+    assert np.array_equal(kept.ends, ends[[0, 2, 3, 5]])
