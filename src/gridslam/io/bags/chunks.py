@@ -50,7 +50,7 @@ Numbered: TypeAlias = tuple[int, int, bytes]
 
 
 class Kind(Enum):
-    """What a record is."""
+    """Kinds of records."""
 
     CHUNK = auto()
     INDEX = auto()
@@ -110,7 +110,7 @@ class ChunkFormat(Protocol):
         ...
 
     def unpack(self, head: Head, content: bytes, limit: UnpackingLimit) -> tuple[bytes, str]:
-        """Decompress records of a chunk; and what is wrong with them."""
+        """Decompress the records of a chunk; return them and their damage, empty where there is none."""
         ...
 
 
