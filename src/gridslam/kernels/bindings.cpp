@@ -19,7 +19,6 @@
 #include "landmarks.hpp"
 #include "numbers.hpp"
 #include "several_scans.hpp"
-#include "shortest_ways.hpp"
 #include "surfaces.hpp"
 #include "update.hpp"
 
@@ -525,36 +524,6 @@ auto py_draw_scans(GRIDSLAM_MAPS, Array<int32_t, 1> page_refs, Array<int32_t, 1>
   return std::make_tuple(drawn.pages, drawn.tiles, drawn.scans);
 }
 
-auto py_shortest_ways(Poses firsts, Shaped<const double, -1, 9> steps, Shaped<const int32_t, -1, 2> link_submaps,
-                      Shaped<const double, -1, 12> links, int submap, Shaped<const double, 9> moments, Triple pose,
-                      double x, double y, double limit, int most, int last) {
-  const SubmapGraph graph{firsts.data(),
-                          static_cast<int>(firsts.shape(0)),
-                          steps.data(),
-                          static_cast<int>(steps.shape(0)),
-                          link_submaps.data(),
-                          links.data(),
-                          static_cast<int>(links.shape(0))};
-  WayStart from{submap, {}, {pose.data()[0], pose.data()[1], pose.data()[2]}, x, y, limit, most, last};
-  std::copy_n(moments.data(), from.moments.size(), from.moments.data());
-  std::vector<int32_t> found;
-  std::vector<Moments> ways;
-  std::vector<std::array<double, 3>> ends;
-  {
-    nb::gil_scoped_release release;
-    shortest_ways(graph, from, found, ways, ends);
-  }
-  auto submaps = fresh<int32_t, 1>({found.size()});
-  auto sums = fresh<double, 2>({found.size(), 9});
-  auto poses = fresh<double, 2>({found.size(), 3});
-  std::copy_n(found.data(), found.size(), submaps.data());
-  for (size_t i = 0; i < found.size(); ++i) {
-    std::copy_n(ways[i].data(), 9, sums.data() + 9 * i);
-    std::copy_n(ends[i].data(), 3, poses.data() + 3 * i);
-  }
-  return std::make_tuple(submaps, sums, poses);
-}
-
 auto py_parse_numbers(nb::bytes text, size_t rows) {
   auto values = std::make_unique<std::vector<double>>();
   bool is_plain;
@@ -654,8 +623,6 @@ NB_MODULE(_compiled, m) {
         nb::arg("tile_refs").noconvert(), "free_pages"_a, "free_tiles"_a, "poses"_a, "ends"_a, "starts"_a, "origins"_a,
         "begin"_a, "end"_a, "resolution"_a, "steps"_a, "cone"_a, "room"_a, "weighed_after"_a,
         nb::arg("weights").noconvert(), "reach_cells"_a, "scale_m"_a);
-  m.def("shortest_ways", &py_shortest_ways, "firsts"_a, "steps"_a, "link_submaps"_a, "links"_a, "submap"_a, "moments"_a,
-        "pose"_a, "x"_a, "y"_a, "limit"_a, "most"_a, "last"_a);
   m.def("parse_numbers", &py_parse_numbers, "text"_a, "rows"_a);
   m.def("format_rows", &py_format_rows, "stamps_ns"_a, "values"_a, "is_fixed"_a, "separator"_a);
   m.def("max_pyramid", &py_max_pyramid, "field"_a, "ids"_a, "likelihood"_a);

@@ -51,7 +51,6 @@ from gridslam.kernels.reference_update import (
     transform_to_world,
     unknown_of,
 )
-from gridslam.kernels.reference_ways import shortest_ways
 
 __all__ = [
     "are_true",
@@ -77,7 +76,6 @@ __all__ = [
     "parse_numbers",
     "predict_landmarks",
     "select_beams",
-    "shortest_ways",
     "slots_of",
     "sum_at_ends",
     "tiles_on_rays",

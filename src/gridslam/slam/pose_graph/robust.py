@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Iterable
 from dataclasses import dataclass, replace
 from typing import final
 
 import numpy as np
+from scipy.special import chdtri
 
 from gridslam.parameters import bounded, parameters
 from gridslam.slam.pose_graph.descent import Computation, DescentResult, descend, squared_mahalanobis
@@ -128,7 +128,7 @@ class GraduatedNonConvexity:
     @property
     def bound(self) -> float:
         """c^2, the truncation threshold: the largest squared error of an inlier."""
-        return _chi2_quantile(self.probability)
+        return float(chdtri(3, 1 - self.probability))
 
     def estimate(
         self, graph: PoseGraph, starts: Iterable[FloatArray], max_iterations: int, tolerance: float
@@ -149,17 +149,6 @@ class GraduatedNonConvexity:
                     break
                 best = found
         return (yield from search.finish(best, max_iterations, tolerance))
-
-
-def _chi2_quantile(probability: float) -> float:
-    """Quantile of chi2 with three degrees of freedom, by bisection of its distribution function to the last bit."""
-    low = 0.0  # without scipy.special, which takes 4 MB
-    high = 1e3
-    while low < (middle := 0.5 * (low + high)) < high:
-        half = 0.5 * middle
-        below = math.erf(math.sqrt(half)) - 2 * math.sqrt(half / math.pi) * math.exp(-half) < probability
-        low, high = (middle, high) if below else (low, middle)
-    return high
 
 
 @final
