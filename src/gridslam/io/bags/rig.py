@@ -207,5 +207,5 @@ class Rig:
     def _add(self, link: tuple[str, str], stamp_ns: int, pose: Rigid, *, static: bool) -> None:
         """Give a link to the buffer, which leads down from the odometry: a frame has one parent there."""
         if link in self._upward:
-            link, pose = link[::-1], rigid.inverse(pose)
+            link, pose = (link[1], link[0]), rigid.inverse(pose)
         self._buffer.add_quaternion(*link, stamp_ns, pose[:3], pose[3:], static)
