@@ -467,7 +467,7 @@ def _plans(folder: Path) -> Iterator[Family]:
 
     def read(where: Path) -> None:
         (path,) = where.iterdir()
-        read_drawn_plan(path).surfaces(0.02)
+        read_drawn_plan(path)
 
     yield Family("plans", prepare, read, 2)
 
