@@ -87,7 +87,6 @@ class LocalTransport:
     def __init__(self) -> None:
         self.outputs = RecordedOutputs()
         self.shut_down = threading.Event()
-        self.outage = ""
         self.services: dict[str, Callable[[object], Any]] = {}
         self.handlers: dict[str, Callable[[bytes, str], None]] = {}
 
@@ -113,9 +112,9 @@ class LocalTransport:
     def advertise_parameters(self, values: object, change: object, settable: object) -> None:
         self.parameters = values
 
-    def spin(self, ended: threading.Event) -> Iterator[str]:
+    def spin(self, ended: threading.Event) -> Iterator[None]:
         while not self.shut_down.is_set() and not ended.wait(0.01):
-            yield self.outage
+            yield
 
     def close(self) -> None:
         self.shut_down.set()

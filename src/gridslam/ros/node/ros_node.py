@@ -164,8 +164,7 @@ class RosNode:
         with options.open_viewers(core):
             try:
                 self.start()
-                for outage in self._transport.spin(core.ended):
-                    core.note_outage(outage)
+                for _ in self._transport.spin(core.ended):
                     options.on_poll()
             except KeyboardInterrupt:  # the usual end of a node
                 pass

@@ -133,11 +133,8 @@ class Transport(Protocol):
     ) -> None:
         """Offer the parameters where ROS does not: `change` sets one of those that are settable, or returns why not."""
 
-    def spin(self, ended: threading.Event) -> Iterator[str]:
-        """Deliver messages until the transport is shut down or the event is set.
-
-        Yields several times a second what it has lost, such as ROS's master; an empty text if nothing.
-        """
+    def spin(self, ended: threading.Event) -> Iterator[None]:
+        """Deliver messages until the transport is shut down or the event is set; yields several times a second."""
         ...
 
     def close(self) -> None:

@@ -6,7 +6,6 @@ Scans, transforms and published messages pass through rclpy as bytes: no message
 from __future__ import annotations
 
 import threading
-import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from functools import partial
 from typing import Any, final
@@ -25,7 +24,6 @@ from gridslam.ros.ros2.parameter_files import find_foreign_files
 NODE_NAME = "gridslam"
 
 _ROS_S = "use_sim_time", "start_type_description_service"  # parameters that rclpy handles
-_TYPES_S = 2.0  # between two looks at the types of others' topics, of which rmw_fastrtps reports none
 
 _HINT = "source a ROS 2, and install gridslam with its Python (python3 -m venv --system-site-packages)"
 _import = partial(import_ros, "ROS 2", _HINT)
@@ -49,7 +47,6 @@ class RclpyTransport:
         self._overrides = _import("rclpy.qos_overriding_options").QoSOverridingOptions(policies)
         self._deserialize = _import("rclpy.serialization").deserialize_message
         self._publishers: dict[str, Any] = {}
-        self._expected: dict[str, str] = {}
         self._thread: threading.Thread | None = None
         self._closed = threading.Event()
         self.encoder = MessageEncoder(is_ros1=False)
@@ -79,7 +76,6 @@ class RclpyTransport:
         profile = self._profile(reliable=reliable, latched=latched, depth=depth)
         options = {"raw": True, "qos_overriding_options": self._overrides}
         self._node.create_subscription(_import(kind), topic, lambda data: handle(data, ""), profile, **options)
-        self._expected[self.resolve(topic)] = kind.replace("/", "/msg/")
 
     def advertise(self, service: str, kind: str, serve: Serve, *, slow: bool = False) -> None:
         """Offer a service.
@@ -133,12 +129,12 @@ class RclpyTransport:
 
         self._node.add_on_set_parameters_callback(set_all)
 
-    def spin(self, ended: threading.Event) -> Iterator[str]:
+    def spin(self, ended: threading.Event) -> Iterator[None]:
         """Deliver messages until ROS is shut down or the event is set."""
         self._thread = threading.Thread(target=self._execute, name="gridslam-rclpy", daemon=True)
         self._thread.start()
         while self._rclpy.ok() and not ended.wait(POLL_S):
-            yield ""
+            yield
 
     def close(self) -> None:
         """Shut down."""
@@ -159,7 +155,6 @@ class RclpyTransport:
         except ConfigurationError:
             executor = executors.SingleThreadedExecutor()
         executor.add_node(self._node)
-        due_s = 0.0
         while self._rclpy.ok() and not self._closed.is_set():
             try:
                 executor.spin_once(timeout_sec=POLL_S)
@@ -167,18 +162,7 @@ class RclpyTransport:
                 break
             except Exception as error:
                 self._refuse("callback", describe_error(error))
-            if time.monotonic() >= due_s:
-                due_s = time.monotonic() + _TYPES_S
-                self._compare_types()
         executor.shutdown()
-
-    def _compare_types(self) -> None:
-        """Warn of topics on which others publish another type."""
-        for topic, expected in self._expected.items():
-            for found in self._node.get_publishers_info_by_topic(topic):
-                if found.topic_type != expected:
-                    problem = f"a publisher sends {found.topic_type}, this node expects {expected}"
-                    self._refuse(f"message type of {topic}", problem)
 
     def _add_publisher(self, topic: str, kind: str) -> None:
         """Create a publisher, unless it is one of a package that may be missing."""
