@@ -173,20 +173,6 @@ def test_a_thousand_steps_are_undone_and_done_again(page):
     assert states == [1000, 1000, "[]", True]
 
 
-def test_a_polygon_that_crosses_itself_is_not_saved_and_can_be_undone(page, out):
-    from selenium.webdriver.common.keys import Keys
-
-    _keys(page, "e")
-    _pointer(page, (400, 300), (520, 420), (520, 300), (400, 380))
-    _keys(page, Keys.ENTER)
-    wait(lambda: "not saved" in told(page)["edits"], "the refusal")
-    assert "feature 1: expected a polygon that does not cross itself" in told(page)["edits"]
-    assert not (out / "edits.geojson").exists()
-    page.get_log("browser")  # of the status 409
-    _keys(page, (Keys.CONTROL, "z"))
-    _saved(page, out, 0)
-
-
 def test_a_map_without_a_run_has_the_tools_as_well(browser, out, tmp_path):
     (tmp_path / "run.json").write_text(json.dumps({"schema": "gridslam.grid/1"}))
     for name in ("map.yaml", "map.pgm"):
