@@ -29,7 +29,7 @@ from gridslam.batch.job import Job
 from gridslam.batch.journal import COLUMNS
 from gridslam.errors import GridslamError
 from gridslam.io.output import OutputFolder
-from gridslam.io.staging import StagingFolder
+from gridslam.io.staging import remove_abandoned
 
 _METHOD = "forkserver" if "forkserver" in multiprocessing.get_all_start_methods() else "spawn"
 _PRELOADED = [
@@ -90,9 +90,8 @@ def run_job(job: Job, out: Path, stopped: threading.Event, *, timeout_s: float |
 def remove_partial(folder: Path) -> None:
     """Remove partial results that a killed process left of a job."""
     with suppress(OSError):
-        StagingFolder(folder.parent, folder.name).remove()
-        if folder.is_dir():
-            StagingFolder(folder, folder.name).remove()
+        remove_abandoned(folder.parent)
+        remove_abandoned(folder)
 
 
 def start_row(job: Job) -> dict[str, Any]:
