@@ -16,7 +16,6 @@
 #include "clusters.hpp"
 #include "correlate.hpp"
 #include "descriptors.hpp"
-#include "landmarks.hpp"
 #include "numbers.hpp"
 #include "several_scans.hpp"
 #include "surfaces.hpp"
@@ -321,24 +320,6 @@ auto py_sum_at_ends(Array<const uint32_t, 2> patches, Pair corner, double resolu
 using Starts = Array<const int64_t, 1>;
 using Matrices = Array<const double, 3>;
 
-auto py_predict_landmarks(int sensor, Matrix poses, Matrix calibration, Matrices positions,
-                          Array<const double, 4> covariances, Starts rows, Starts columns, Matrices pose_covariances,
-                          Vector measured, Matrix noise) {
-  const size_t r = rows.shape(0);
-  auto residuals = fresh<double, 2>({r, 2});
-  auto innovations = fresh<double, 3>({r, 2, 2}), by_landmark = fresh<double, 3>({r, 2, 2});
-  auto by_pose = fresh<double, 3>({r, 2, 3}), by_sensor = fresh<double, 3>({calibration.shape(0) ? r : 0, 2, 2});
-  const Landmarks all{poses.data(), calibration.shape(0) ? calibration.data() : nullptr, positions.data(),
-                      covariances.data(), static_cast<int64_t>(positions.shape(1))};
-  {
-    nb::gil_scoped_release release;
-    predict_landmarks(static_cast<LandmarkSensor>(sensor), all, rows.data(), columns.data(), static_cast<int64_t>(r),
-                      pose_covariances.shape(0) ? pose_covariances.data() : nullptr, measured.data(), noise.data(),
-                      {residuals.data(), innovations.data(), by_pose.data(), by_landmark.data(), by_sensor.data()});
-  }
-  return std::make_tuple(residuals, innovations, by_pose, by_landmark, by_sensor);
-}
-
 auto py_mean_shift(Poses poses, Vector weights, Array<const bool, 1> first, Triple centre, double radius_m,
                    double radius_rad, int shifts) {
   const size_t n = poses.shape(0);
@@ -465,34 +446,6 @@ auto py_match_to_surfaces(Points points, Points normals, Vector bearings, Starts
   return std::make_tuple(guess, count);
 }
 
-auto py_draw_gaussians(Matrix means, Matrices covariances, Matrix numbers) {
-  const size_t k = means.shape(0), size = means.shape(1);
-  require(covariances.shape(0) == k && covariances.shape(1) == size && covariances.shape(2) == size &&
-              numbers.shape(0) == k && numbers.shape(1) == size,
-          "covariances, numbers: expected as many as means, of their size");
-  auto drawn = fresh<double, 2>({means.shape(0), means.shape(1)});
-  {
-    nb::gil_scoped_release release;
-    draw_gaussians(means.data(), covariances.data(), numbers.data(), static_cast<int64_t>(means.shape(0)),
-                   static_cast<int64_t>(means.shape(1)), drawn.data());
-  }
-  return drawn;
-}
-
-auto py_kalman_update(Array<double, 2> means, Array<double, 3> covariances, Starts rows, Matrices jacobians,
-                      Matrices innovations, Matrix residuals) {
-  const size_t r = rows.shape(0), size = covariances.shape(1);
-  auto shifts = fresh<double, 2>({r, size});
-  auto gains = fresh<double, 3>({r, size, 2});
-  {
-    nb::gil_scoped_release release;
-    kalman_update({means.data(), covariances.data(), static_cast<int64_t>(means.shape(1)), static_cast<int64_t>(size)},
-                  rows.data(), static_cast<int64_t>(r), jacobians.data(), innovations.data(), residuals.data(),
-                  shifts.data(), gains.data());
-  }
-  return std::make_tuple(shifts, gains);
-}
-
 Scans scans_of(const Poses& poses, const Points& ends, const Starts& starts, const Points& origins) {
   const size_t k = poses.shape(0);
   require(origins.shape(0) == k, "starts, origins: expected those of as many scans as poses");
@@ -602,8 +555,6 @@ NB_MODULE(_compiled, m) {
   m.def("known_cells", &py_known_cells, GRIDSLAM_MAPS_ARGS, "row"_a, "pose"_a, "points"_a, "resolution"_a);
   m.def("cast_rays", &py_cast_rays, GRIDSLAM_MAPS_ARGS, "rows"_a, "poses"_a, "origin"_a, "directions"_a, "resolution"_a,
         "max_m"_a, "threads"_a);
-  m.def("predict_landmarks", &py_predict_landmarks, "sensor"_a, "poses"_a, "calibration"_a, "positions"_a,
-        "covariances"_a, "rows"_a, "columns"_a, "pose_covariances"_a, "measured"_a, "noise"_a);
   m.def("mean_shift", &py_mean_shift, "poses"_a, "weights"_a, "first"_a, "centre"_a, "radius_m"_a, "radius_rad"_a,
         "shifts"_a);
   m.def("are_true", &py_are_true, "mask"_a, "corner"_a, "inverse_resolution"_a, "poses"_a);
@@ -615,9 +566,6 @@ NB_MODULE(_compiled, m) {
         "poses"_a, "own_points"_a, "own_normals"_a, "guess"_a, "prior"_a, "gates_m"_a, "scale_m"_a,
         "least_information"_a);
   m.def("hamming_distances", &py_hamming_distances, "a"_a, "b"_a);
-  m.def("draw_gaussians", &py_draw_gaussians, "means"_a, "covariances"_a, "numbers"_a);
-  m.def("kalman_update", &py_kalman_update, nb::arg("means").noconvert(), nb::arg("covariances").noconvert(), "rows"_a,
-        "jacobians"_a, "innovations"_a, "residuals"_a);
   m.def("sum_at_ends", &py_sum_at_ends, "patches"_a, "corner"_a, "resolution"_a, "poses"_a, "ends"_a, "threads"_a);
   m.def("draw_scans", &py_draw_scans, GRIDSLAM_MAPS_ARGS, nb::arg("page_refs").noconvert(),
         nb::arg("tile_refs").noconvert(), "free_pages"_a, "free_tiles"_a, "poses"_a, "ends"_a, "starts"_a, "origins"_a,
