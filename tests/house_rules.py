@@ -31,7 +31,6 @@ ONLY_IN = {
     "uvicorn": {"live"},
     "websockets": set(),
     "fsspec": {"io"},
-    "contourpy": {"plan"},
     "shapely": {"plan"},
     "ezdxf": {"plan"},
 }

@@ -2,7 +2,6 @@
 # ruff: noqa: B018, F821
 
 context, format_epilog, format_usage, get_command, list_commands  # click
-unused  # Cyclone DDS: of the methods that it calls of a message's class
 __getattr__, __dir__, __signature__, __cause__, __context__, _repr_html_, _repr_svg_  # Python and notebooks
 writeable, comment, compress_type, max_size, should_exit  # NumPy, zipfile, websockets, uvicorn
 complete_submaps  # a size of arrays, which is text

@@ -31,7 +31,6 @@ KERNELS = (
     "correlate",
     "sum_at_ends",
     "draw_scans",
-    "match_scans",
     "shortest_ways",
     "mean_shift",
     "are_true",

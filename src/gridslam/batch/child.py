@@ -61,7 +61,9 @@ def run_job(job: Job, out: Path, stopped: threading.Event, *, timeout_s: float |
     row = start_row(job) | {"started": started} | {name: end[name] for name in COLUMNS if name in end}
     if "document" in end:
         return row | {"status": "done"}
-    remove_abandoned(out)
+    with suppress(OSError):
+        remove_abandoned(out)
+        remove_abandoned(out / job.folder)  # which is there where an earlier run of it has ended
     error, message = _name_failure(end, timeout_s)
     return row | {"error": error, "message": message}
 

@@ -525,26 +525,6 @@ auto py_draw_scans(GRIDSLAM_MAPS, Array<int32_t, 1> page_refs, Array<int32_t, 1>
   return std::make_tuple(drawn.pages, drawn.tiles, drawn.scans);
 }
 
-auto py_match_scans(GRIDSLAM_MAPS, Poses guesses, Shaped<const double, 3, 3> prior, Points ends, Starts starts,
-                    Points origins, double resolution, int max_iterations, double cauchy_cells, double max_step_cells,
-                    double max_step_rad, double stop_cells, double stop_rad, double reach_cells, double min_information,
-                    bool point_to_line, int min_beams, int threads) {
-  const Maps m = view(roots, first, pages, log_odds, field);
-  const size_t k = guesses.shape(0);
-  auto poses = fresh<double, 2>({k, 3});
-  auto information = fresh<double, 3>({k, 3, 3});
-  auto score = fresh<double, 1>({k});
-  const Scans scans = scans_of(guesses, ends, starts, origins);
-  {
-    nb::gil_scoped_release release;
-    match_scans(m, scans, prior.data(), resolution,
-                {max_iterations, cauchy_cells, max_step_cells, max_step_rad, stop_cells, stop_rad, reach_cells,
-                 min_information, point_to_line},
-                min_beams, threads, poses.data(), information.data(), score.data());
-  }
-  return std::make_tuple(poses, information, score);
-}
-
 auto py_shortest_ways(Poses firsts, Shaped<const double, -1, 9> steps, Shaped<const int32_t, -1, 2> link_submaps,
                       Shaped<const double, -1, 12> links, int submap, Shaped<const double, 9> moments, Triple pose,
                       double x, double y, double limit, int most, int last) {
@@ -674,9 +654,6 @@ NB_MODULE(_compiled, m) {
         nb::arg("tile_refs").noconvert(), "free_pages"_a, "free_tiles"_a, "poses"_a, "ends"_a, "starts"_a, "origins"_a,
         "begin"_a, "end"_a, "resolution"_a, "steps"_a, "cone"_a, "room"_a, "weighed_after"_a,
         nb::arg("weights").noconvert(), "reach_cells"_a, "scale_m"_a);
-  m.def("match_scans", &py_match_scans, GRIDSLAM_MAPS_ARGS, "guesses"_a, "prior"_a, "ends"_a, "starts"_a, "origins"_a,
-        "resolution"_a, "max_iterations"_a, "cauchy_cells"_a, "max_step_cells"_a, "max_step_rad"_a, "stop_cells"_a,
-        "stop_rad"_a, "reach_cells"_a, "min_information"_a, "point_to_line"_a, "min_beams"_a, "threads"_a);
   m.def("shortest_ways", &py_shortest_ways, "firsts"_a, "steps"_a, "link_submaps"_a, "links"_a, "submap"_a, "moments"_a,
         "pose"_a, "x"_a, "y"_a, "limit"_a, "most"_a, "last"_a);
   m.def("parse_numbers", &py_parse_numbers, "text"_a, "rows"_a);

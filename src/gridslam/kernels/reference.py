@@ -70,7 +70,6 @@ __all__ = [
     "make_tiles_writable",
     "match",
     "match_pose",
-    "match_scans",
     "match_surfaces",
     "match_to_surfaces",
     "max_pyramid",
@@ -628,4 +627,3 @@ def _within(
 
 
 draw_scans = partial(reference_scans.draw_scans, distances, known_cells)
-match_scans = partial(reference_scans.match_scans, match)

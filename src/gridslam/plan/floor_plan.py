@@ -3,18 +3,18 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import final
 
 import numpy as np
 
-from gridslam.plan.faces import Face, dominant_direction, find_faces, find_surfaces, snap_directions
+from gridslam.plan.faces import Face, dominant_direction, find_faces, find_surfaces
 from gridslam.plan.openings import Opening, find_openings
 from gridslam.plan.rasters import BoolArray, Raster, dilate, erode, fill_polygons, make_raster
 from gridslam.plan.rooms import LEAST_AREA_M2, Room, find_rooms
 from gridslam.plan.surfaces import SurfacePoints, points_of_grid
 from gridslam.plan.untyped import ndimage, require_map_extra
-from gridslam.plan.walls import Wall, close_corners, drop_clutter, find_furniture_faces, hull, join_faces, make_walls
+from gridslam.plan.walls import Wall, find_furniture_faces, join_faces, make_walls
 from gridslam.types import FloatArray, OccupancyGrid
 
 _BESIDE_M = 0.25
@@ -26,7 +26,7 @@ _SLIT_CELLS = 2
 @final
 @dataclass(frozen=True, slots=True, eq=False)
 class FloorPlan:
-    """A floor plan, in the frame of the map or turned by `turned_rad`.
+    """A floor plan, in the frame of the map.
 
     Attributes
     ----------
@@ -41,8 +41,6 @@ class FloorPlan:
         The surfaces that walls were made from.
     dominant_rad : float, rad, [-pi/4, pi/4)
         Direction in or across which most walls run.
-    turned_rad : float, rad
-        By what the plan was turned about the origin of the map.
     """
 
     walls: tuple[Wall, ...]
@@ -51,40 +49,6 @@ class FloorPlan:
     furniture: tuple[FloatArray, ...]
     faces: tuple[Face, ...]
     dominant_rad: float
-    turned_rad: float = 0.0
-
-    @property
-    def bounds(self) -> FloatArray:
-        """Lower left and upper right corner (2, 2) of all that is shown, m; zeros of an empty plan."""
-        shown = [*(wall.outline for wall in self.walls), *(room.outline for room in self.rooms)]
-        if not shown:
-            return np.zeros((2, 2))
-        points = np.concatenate(shown)
-        return np.array([points.min(axis=0), points.max(axis=0)])
-
-    def turn(self, angle_rad: float) -> FloorPlan:
-        """Turn the plan about the origin of the map, anticlockwise."""
-        c, s = np.cos(angle_rad), np.sin(angle_rad)
-        turn = np.array([[c, s], [-s, c]])  # of rows
-        return FloorPlan(
-            tuple(Wall(wall.ends @ turn, wall.thickness_m) for wall in self.walls),
-            tuple(Opening(opening.ends @ turn, opening.thickness_m) for opening in self.openings),
-            tuple(
-                replace(r, outline=r.outline @ turn, holes=tuple(h @ turn for h in r.holes), unknown=r.unknown @ turn)
-                for r in self.rooms
-            ),
-            tuple(outline @ turn for outline in self.furniture),
-            tuple(
-                Face(face.middle @ turn, face.direction + angle_rad, face.begin, face.end, face.weight)
-                for face in self.faces
-            ),
-            self.dominant_rad + angle_rad,
-            self.turned_rad + angle_rad,
-        )
-
-    def straighten(self) -> FloorPlan:
-        """Turn the plan so that most walls run along its axes."""
-        return self.turn(-self.dominant_rad)
 
 
 def make_plan(grid: OccupancyGrid, points: SurfacePoints | None = None, path: FloatArray | None = None) -> FloorPlan:
@@ -102,20 +66,20 @@ def make_plan(grid: OccupancyGrid, points: SurfacePoints | None = None, path: Fl
     Raises
     ------
     MissingDependencyError
-        shapely or contourpy is not installed; the extra ``map`` brings them.
+        shapely is not installed; the extra ``map`` brings them.
     """
     require_map_extra()
     raster = make_raster(grid)
     points = points_of_grid(grid) if points is None else points.select(~raster.is_vacated(points.positions))
     found = [face for surface in find_surfaces(points) for face in find_faces(surface)]
     dominant = dominant_direction(found)
-    joined = snap_directions(drop_clutter(join_faces(found, raster)), dominant)
+    joined = join_faces(found, raster)
     is_furniture, against_walls = find_furniture_faces(joined, raster)
     faces = [face for face, is_other in zip(joined, is_furniture, strict=True) if not is_other]
-    walls = close_corners(make_walls(faces))
+    walls = make_walls(faces)
     floor = _close_floor(raster, [wall.outline for wall in walls], against_walls)
     openings = find_openings(floor, raster, walls, points)
-    rooms = find_rooms(floor, raster, faces, openings, path)
+    rooms = find_rooms(floor, raster, openings, path)
     furniture = [*_outline_furniture(raster), *against_walls]
     near = _find_near_floor(floor, raster)
     return FloorPlan(
@@ -153,6 +117,7 @@ def _close_floor(raster: Raster, walls: list[FloatArray], furniture: list[FloatA
 
 def _outline_furniture(raster: Raster) -> list[FloatArray]:
     """Return the convex outlines (K, 2) of isolated objects."""
+    shapely = require_map_extra()
     labels, _ = ndimage.label(raster.furniture, np.ones((3, 3)))
     outlines = []
     for number, part in enumerate(ndimage.find_objects(labels), start=1):
@@ -161,5 +126,6 @@ def _outline_furniture(raster: Raster) -> list[FloatArray]:
             continue
         half = raster.cell_m / 2
         corners = raster.points(cells)[:, None] + half * np.array([(-1, -1), (1, -1), (1, 1), (-1, 1)])
-        outlines.append(hull(corners.reshape(-1, 2)))
+        hull = shapely.MultiPoint(corners.reshape(-1, 2)).convex_hull
+        outlines.append(np.array(shapely.geometry.polygon.orient(hull).exterior.coords)[:-1])
     return outlines

@@ -19,17 +19,16 @@ coo_matrix: Any = _coo_matrix
 connected_components: Any = _csgraph.connected_components
 
 
-def require_map_extra() -> tuple[Any, Any]:
-    """Import contourpy and shapely.
+def require_map_extra() -> Any:  # noqa: ANN401
+    """Import shapely.
 
     Raises
     ------
     MissingDependencyError
-        One of them is not installed; the extra ``map`` brings them.
+        It is not installed; the extra ``map`` brings it.
     """
     try:
-        import contourpy
         import shapely
-    except ImportError as error:
-        raise MissingDependencyError("a floor plan", str(error.name), "map") from None
-    return contourpy, shapely
+    except ImportError:
+        raise MissingDependencyError("a floor plan", "shapely", "map") from None
+    return shapely

@@ -116,7 +116,7 @@ def test_all_that_is_drawn_is_in_the_file_where_it_is_seen(page, out, screenshot
     assert wall.points == pytest.approx(np.array([_world(page, 410, 300), _world(page, 520, 380)]), **near)
     assert zone.layer == "keep_out"
     assert zone.points.mean(axis=0) == pytest.approx(_world(page, 1660 / 3, 1000 / 3), **near)
-    assert slow.limits == {"limit_percent": 50.0}
+    assert slow.limit_percent == 50.0
     size = np.ptp(slow.points, axis=0) * view(page)[2]
     assert size == pytest.approx([80, 70], abs=3)
     assert (room.name, room.geometry) == ("Küche, Lager 1", "Point")

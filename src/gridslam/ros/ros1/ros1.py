@@ -12,15 +12,15 @@ import threading
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from functools import partial
-from typing import IO, Any, final
+from typing import Any, final
 
 from gridslam.errors import ConfigurationError, GridslamError
+from gridslam.io.bags.encoder import MessageEncoder
 from gridslam.io.bags.ros_messages import Wire, kind_of, wire_of_ros1
 from gridslam.ros.node.messages import Level, Outputs
 from gridslam.ros.node.outputs import EncodedOutputs
 from gridslam.ros.node.parameters import GMAPPING_DEFAULTS, NODE_DEFAULTS, node_parameters
 from gridslam.ros.node.ros_node import RosNode
-from gridslam.ros.node.service_types import BODY, service_encoder
 from gridslam.ros.node.transport import LATCHED, NO_OPTIONS, POLL_S, Handler, RunOptions, Serve, import_ros
 
 NODE_NAME = "slam_gmapping"
@@ -40,11 +40,10 @@ class Ros1Transport:
     """Publishers, subscribers and services of the node, after `rospy.init_node`."""
 
     global_localization = "global_localization"
-    gives_empty_map = False
 
     def __init__(self) -> None:
         self._rospy = _import("rospy")
-        self.encoder = service_encoder(is_ros1=True)
+        self.encoder = MessageEncoder(is_ros1=True)
         self._publishers: dict[str, Any] = {}
         self._settable: dict[str, Any] = {}
         name = self._rospy.get_name().lstrip("/")
@@ -85,25 +84,15 @@ class Ros1Transport:
     def advertise(self, service: str, kind: str, serve: Serve, *, slow: bool = False) -> None:
         """Offer a service; rospy answers each request in a thread of its own."""
         service_class = _import(kind, "srv")
-        base: Any = service_class._response_class
-
-        class Answer(base):  # type: ignore[misc]
-            """Response that is encoded already: a list of a million cells would cost 50 ms."""
-
-            encoded = b""
-
-            def serialize(self, buff: IO[bytes]) -> None:
-                buff.write(self.encoded)
+        make: Any = service_class._response_class
 
         def answer(request: Any) -> Any:  # noqa: ANN401
             self._read_parameters()
-            response = Answer()
             try:
-                if values := serve(request):
-                    response.encoded = self.encoder.encode(f"{kind}_Response{BODY}", *values)
+                answered = serve(request)
             except GridslamError as error:
                 raise self._rospy.ServiceException(str(error)) from None
-            return response
+            return make().deserialize(answered) if isinstance(answered, bytes) else make(*answered or ())
 
         self._rospy.Service(_name(service), service_class, answer)
 
