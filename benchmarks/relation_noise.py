@@ -1,7 +1,7 @@
 """Whether a trajectory or the relations that score it are nearer the truth: python benchmarks/relation_noise.py DATA.
 
-Each relation says where one scan was taken from another. Drawn together by it, and by the trajectory of `map_log`, both
-scans see the same walls; the share of ends of one near ends of the other tells which of the two is better. The odometry
+A relation is the pose of one scan seen from another. Drawn together by it, and by the trajectory of `map_log`, both
+scans show the same walls: the better of the two has the larger share of ends of one near ends of the other. The odometry
 is scored in the same way: relations that lose against it, too, are coarse.
 """
 
@@ -64,7 +64,8 @@ def compare(relations: Relations, ends: Sequence[FloatArray], rows: IntArray, po
 def nearest(stamps: IntArray, asked: IntArray) -> IntArray:
     """Indices of the stamps (N,) nearest to those asked for."""
     after = np.searchsorted(stamps, asked).clip(1, len(stamps) - 1)
-    return after - (asked - stamps[after - 1] < stamps[after] - asked)
+    indices: IntArray = after - (asked - stamps[after - 1] < stamps[after] - asked)
+    return indices
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -82,7 +83,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         ends = [measured.scan.beams(0.05, 30.0).ends for measured in measurements]
         stamps = np.array([measured.scan.stamp_ns for measured in measurements])
         rows = np.column_stack([nearest(stamps, asked) for asked in (relations.from_ns, relations.to_ns)])
-        odometry = np.array([measured.odometry.pose for measured in measurements])
+        odometry = np.array([measured.odometry.pose for measured in measurements if measured.odometry is not None])
         final = map_log(log, seed=0).trajectory
         assert np.array_equal(np.sort(final.stamps_ns), stamps)
         found[name] = {
