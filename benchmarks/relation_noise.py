@@ -1,8 +1,8 @@
 """Whether a trajectory or the relations that score it are nearer the truth: python benchmarks/relation_noise.py DATA.
 
 A relation is the pose of one scan seen from another. Drawn together by it, and by the trajectory of `map_log`, both
-scans show the same walls: the better of the two has the larger share of ends of one near ends of the other. The odometry
-is scored in the same way: relations that lose against it, too, are coarse.
+scans show the same walls: the better of the two has the larger share of ends of one near ends of the other. The
+odometry is scored in the same way: relations that lose against it, too, are coarse.
 """
 
 from __future__ import annotations
