@@ -31,6 +31,7 @@ ONLY_IN = {
     "uvicorn": {"live"},
     "websockets": set(),
     "fsspec": {"io"},
+    "contourpy": {"plan"},
     "shapely": {"plan"},
     "ezdxf": {"plan"},
 }

@@ -103,7 +103,7 @@ def _resample(grid: OccupancyGrid, onto: OccupancyGrid, pose: FloatArray) -> Occ
 
 def _find_gone(kind: str, here: OccupancyGrid, there: OccupancyGrid) -> list[Change]:
     """Find cells that are occupied here and amid free ones there."""
-    shapely = require_map_extra()
+    _, shapely = require_map_extra()
     cell_m = here.resolution_m
     free = there.known & (there.log_odds < 0)
     near = ndimage.binary_dilation(there.known & (there.log_odds > 0), _disc(int(np.ceil(_NEAR_M / cell_m))))

@@ -25,6 +25,9 @@ _MOST_ASKED = 1000
 """Points that are asked where most agree: of more a part does."""
 _SHORTEST_M = 0.25
 _ROUNDS = 4
+_SNAP_M = 0.02
+"""Ends may move by so much when a face is turned to a dominant direction."""
+_SNAP_RAD = np.deg2rad(3)
 
 
 @final
@@ -156,3 +159,17 @@ def dominant_direction(faces: list[Face]) -> float:
     near = np.abs(off) < np.deg2rad(3)
     found = peak + np.average(off[near], weights=lengths[near] ** 3)
     return float((found + np.pi / 4) % (np.pi / 2) - np.pi / 4)
+
+
+def snap_directions(faces: list[Face], dominant_rad: float) -> list[Face]:
+    """Turn faces to the dominant direction, or across it, where their ends move by less than 2 cm."""
+    snapped = []
+    for face in faces:
+        off = (face.direction - dominant_rad + np.pi / 4) % (np.pi / 2) - np.pi / 4
+        if abs(off) < _SNAP_RAD and abs(off) * face.length_m / 2 < _SNAP_M:
+            shift = (face.begin + face.end) / 2
+            middle = face.middle + shift * face.along
+            half = face.length_m / 2
+            face = replace(face, middle=middle, direction=face.direction - off, begin=-half, end=half)
+        snapped.append(face)
+    return snapped

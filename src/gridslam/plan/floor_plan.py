@@ -8,13 +8,13 @@ from typing import final
 
 import numpy as np
 
-from gridslam.plan.faces import Face, dominant_direction, find_faces, find_surfaces
+from gridslam.plan.faces import Face, dominant_direction, find_faces, find_surfaces, snap_directions
 from gridslam.plan.openings import Opening, find_openings
 from gridslam.plan.rasters import BoolArray, Raster, dilate, erode, fill_polygons, make_raster
 from gridslam.plan.rooms import LEAST_AREA_M2, Room, find_rooms
 from gridslam.plan.surfaces import SurfacePoints, points_of_grid
 from gridslam.plan.untyped import ndimage, require_map_extra
-from gridslam.plan.walls import Wall, find_furniture_faces, join_faces, make_walls
+from gridslam.plan.walls import Wall, close_corners, drop_clutter, find_furniture_faces, hull, join_faces, make_walls
 from gridslam.types import FloatArray, OccupancyGrid
 
 _BESIDE_M = 0.25
@@ -66,20 +66,20 @@ def make_plan(grid: OccupancyGrid, points: SurfacePoints | None = None, path: Fl
     Raises
     ------
     MissingDependencyError
-        shapely is not installed; the extra ``map`` brings them.
+        shapely or contourpy is not installed; the extra ``map`` brings them.
     """
     require_map_extra()
     raster = make_raster(grid)
     points = points_of_grid(grid) if points is None else points.select(~raster.is_vacated(points.positions))
     found = [face for surface in find_surfaces(points) for face in find_faces(surface)]
     dominant = dominant_direction(found)
-    joined = join_faces(found, raster)
+    joined = snap_directions(drop_clutter(join_faces(found, raster)), dominant)
     is_furniture, against_walls = find_furniture_faces(joined, raster)
     faces = [face for face, is_other in zip(joined, is_furniture, strict=True) if not is_other]
-    walls = make_walls(faces)
+    walls = close_corners(make_walls(faces))
     floor = _close_floor(raster, [wall.outline for wall in walls], against_walls)
     openings = find_openings(floor, raster, walls, points)
-    rooms = find_rooms(floor, raster, openings, path)
+    rooms = find_rooms(floor, raster, faces, openings, path)
     furniture = [*_outline_furniture(raster), *against_walls]
     near = _find_near_floor(floor, raster)
     return FloorPlan(
@@ -117,7 +117,6 @@ def _close_floor(raster: Raster, walls: list[FloatArray], furniture: list[FloatA
 
 def _outline_furniture(raster: Raster) -> list[FloatArray]:
     """Return the convex outlines (K, 2) of isolated objects."""
-    shapely = require_map_extra()
     labels, _ = ndimage.label(raster.furniture, np.ones((3, 3)))
     outlines = []
     for number, part in enumerate(ndimage.find_objects(labels), start=1):
@@ -126,6 +125,5 @@ def _outline_furniture(raster: Raster) -> list[FloatArray]:
             continue
         half = raster.cell_m / 2
         corners = raster.points(cells)[:, None] + half * np.array([(-1, -1), (1, -1), (1, 1), (-1, 1)])
-        hull = shapely.MultiPoint(corners.reshape(-1, 2)).convex_hull
-        outlines.append(np.array(shapely.geometry.polygon.orient(hull).exterior.coords)[:-1])
+        outlines.append(hull(corners.reshape(-1, 2)))
     return outlines

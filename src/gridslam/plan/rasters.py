@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 from typing import TypeAlias, final
 
 import numpy as np
@@ -48,6 +49,11 @@ class Raster:
         """Return free cells, and those on which furniture stands (H, W)."""
         return self.free | self.furniture
 
+    @cached_property
+    def beside_occupied(self) -> BoolArray:
+        """Return cells (H, W) of which one within two is occupied."""
+        return dilate(self.occupied, 2)
+
     def cells(self, points: FloatArray) -> tuple[np.ndarray, np.ndarray]:
         """Rows and columns of the cells of points (N, 2); those outside get the nearest."""
         column, row = np.floor((np.atleast_2d(points) - self.origin) / self.cell_m).astype(np.int64).T
@@ -67,6 +73,10 @@ class Raster:
     def share_free(self, points: FloatArray) -> float:
         """Share of points (N, 2) that are in free cells."""
         return float(self.free[self.cells(points)].mean())
+
+    def is_furniture(self, point: FloatArray) -> bool:
+        """Whether furniture is at a point (2,)."""
+        return bool(self.furniture[self.cells(point)][0])
 
 
 def make_raster(grid: OccupancyGrid) -> Raster:

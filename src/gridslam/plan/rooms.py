@@ -1,15 +1,18 @@
-"""Rooms: the floor between walls and openings, as polygons."""
+"""Rooms: the floor between walls and openings, as polygons whose sides are the walls' faces."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import final
+from itertools import pairwise
+from typing import TypeAlias, final
 
 import numpy as np
 
+from gridslam.plan.faces import Face
 from gridslam.plan.openings import Opening
-from gridslam.plan.rasters import BoolArray, Raster, dilate, fill_polygons
+from gridslam.plan.rasters import BoolArray, Raster, fill_polygons
+from gridslam.plan.segments import Segments
 from gridslam.plan.untyped import ndimage, require_map_extra
 from gridslam.types import FloatArray
 
@@ -17,8 +20,12 @@ LEAST_AREA_M2 = 2.0
 _LEAST_ENCLOSED = 0.2
 _SMALLEST_HOLE_M2 = 0.3
 _SIMPLE_M = 0.12
-_STEP_M = 0.1
+_SNAP_M = 0.2
+_SNAP_RAD = np.deg2rad(10)
 _LEAST_SIDE_M = 0.3
+_CUT_CORNER_M = 0.45
+_Line: TypeAlias = tuple[FloatArray, FloatArray, bool]
+"""A point of it, its direction, and whether it is that of a wall or an opening."""
 
 
 @final
@@ -51,28 +58,36 @@ class Room:
     @property
     def label_point(self) -> FloatArray:
         """A point (2,) well inside, m: where a label has most room."""
-        shapely = require_map_extra()
+        _, shapely = require_map_extra()
         polygon = shapely.Polygon(self.outline, self.holes)
-        return np.array(shapely.maximum_inscribed_circle(polygon, tolerance=0.1).coords[0])
+        middle = shapely.maximum_inscribed_circle(polygon, tolerance=0.1).coords[0]
+        return np.array(middle)
 
 
 def find_rooms(
-    floor: BoolArray, raster: Raster, openings: Sequence[Opening], path: FloatArray | None = None
+    floor: BoolArray,
+    raster: Raster,
+    faces: Sequence[Face],
+    openings: Sequence[Opening],
+    path: FloatArray | None = None,
 ) -> list[Room]:
     """Cut the floor at the openings; each part of 2 m² and more with walls about it is a room, the largest first.
 
     With the positions (P, 2) of the robot rooms that it has only looked into follow those that were entered.
     """
-    bars = fill_polygons(raster, [_extend(opening.ends, 2 * raster.cell_m) for opening in openings])
-    bounds = dilate(raster.occupied | bars, 2)
-    labels, _ = ndimage.label(floor & ~bars)
+    bars = [_extend(opening.ends, 2 * raster.cell_m) for opening in openings]
+    cut = floor & ~fill_polygons(raster, bars)
+    labels, _ = ndimage.label(cut)
     entered = None if path is None else np.unique(labels[raster.cells(path)])
+    sides = _sides_of(faces, openings)
     rooms = []
     sizes = np.bincount(labels.reshape(-1)) * raster.cell_m**2
     for number, part in enumerate(ndimage.find_objects(labels), start=1):
         if sizes[number] >= LEAST_AREA_M2:
-            corner = raster.origin + np.array([part[1].start, part[0].start]) * raster.cell_m
-            room = _make_room(labels[part] == number, corner, raster, bounds)
+            window = tuple(slice(max(0, s.start - 1), s.stop + 1) for s in part)
+            mask = labels[window] == number
+            corner = raster.origin + np.array([window[1].start, window[0].start]) * raster.cell_m
+            room = _make_room(mask, corner, raster, sides)
             if room is not None:
                 rooms.append(replace(room, is_entered=None if entered is None else bool(np.isin(number, entered))))
     rooms.sort(key=lambda room: -room.area_m2)
@@ -86,7 +101,7 @@ def find_rooms(
 
 def name_rooms(rooms: Sequence[Room], names: Sequence[tuple[str, FloatArray]]) -> tuple[Room, ...]:
     """Give rooms the names at places (2,) in them; the last of several names."""
-    shapely = require_map_extra()
+    _, shapely = require_map_extra()
     named = {
         k: name
         for name, place in names
@@ -101,19 +116,38 @@ def _extend(ends: FloatArray, by_m: float) -> FloatArray:
     return ends + np.outer([-by_m, by_m], along)
 
 
-def _make_room(mask: BoolArray, corner: FloatArray, raster: Raster, bounds: BoolArray) -> Room | None:
+def _sides_of(faces: Sequence[Face], openings: Sequence[Opening]) -> Segments:
+    """Sides that rooms may have, free space to their left: faces, and openings from both sides."""
+    sides = [face.ends for face in faces]
+    for opening in openings:
+        aside = 0.5 * opening.thickness_m * opening.normal
+        sides += [opening.ends + aside, (opening.ends - aside)[::-1]]
+    return Segments.of(np.array(sides))
+
+
+def _make_room(mask: BoolArray, corner: FloatArray, raster: Raster, sides: Segments) -> Room | None:
     """Polygon of a part of the floor; None where too little of its outline is wall or opening."""
-    shapely = require_map_extra()
-    edges = np.diff(np.pad(_fill_small_holes(mask, raster.cell_m), ((0, 0), (1, 1))).astype(np.int8))
-    row, first = np.nonzero(edges > 0)
-    last = np.nonzero(edges < 0)[1]
-    low, high = (corner + raster.cell_m * np.column_stack(cells) for cells in ((first, row), (last, row + 1)))
-    floor = shapely.union_all(shapely.box(*low.T, *high.T))
-    # The face of a wall is in the cells after the floor's last ones: on average half a cell further.
-    wide = shapely.simplify(floor, _SIMPLE_M).buffer(raster.cell_m / 2, join_style="mitre")
-    polygon = shapely.geometry.polygon.orient(max(getattr(wide, "geoms", [wide]), key=lambda piece: piece.area))
+    contourpy, shapely = require_map_extra()
+    filled = _fill_small_holes(mask, raster.cell_m)
+    generator = contourpy.contour_generator(
+        z=np.pad(filled, 1).astype(np.float64), fill_type=contourpy.FillType.OuterOffset
+    )
+    points, offsets = generator.filled(0.5, 2.0)
+    pieces = []
+    for xy, cuts in zip(points, offsets, strict=True):
+        rings = [(corner + (xy[a:b] - 0.5) * raster.cell_m) for a, b in pairwise(cuts)]
+        pieces.append(shapely.Polygon(rings[0], rings[1:]))
+    traced = shapely.simplify(max(pieces, key=lambda piece: piece.area), _SIMPLE_M)
+    if traced.is_empty or traced.geom_type != "Polygon":
+        return None
+    rings = [_snap(np.array(ring.coords)[:-1], sides) for ring in (traced.exterior, *traced.interiors)]
+    polygon = shapely.make_valid(shapely.Polygon(rings[0], [ring for ring in rings[1:] if len(ring) >= 3]))
+    if polygon.geom_type != "Polygon":
+        parts = [part for part in getattr(polygon, "geoms", ()) if part.geom_type == "Polygon"]
+        polygon = max(parts, key=lambda part: part.area, default=traced)
+    polygon = shapely.geometry.polygon.orient(polygon)
     outline = np.array(polygon.exterior.coords)[:-1]
-    unknown, share = _find_unknown(outline, raster, bounds)
+    unknown, share = _find_unknown(outline, raster, sides)
     if polygon.area < LEAST_AREA_M2 or 1 - share < _LEAST_ENCLOSED:
         return None
     holes = tuple(np.array(ring.coords)[:-1] for ring in polygon.interiors)
@@ -128,17 +162,87 @@ def _fill_small_holes(mask: BoolArray, cell_m: float) -> BoolArray:
     return np.asarray(mask | small[holes[1:-1, 1:-1]], np.bool_)
 
 
-def _find_unknown(outline: FloatArray, raster: Raster, bounds: BoolArray) -> tuple[FloatArray, float]:
-    """Parts (U, 2, 2) of an outline beside no wall or opening, whose cells are `bounds`, and their share of it."""
+def _snap(ring: FloatArray, sides: Segments) -> FloatArray:
+    """Move the sides of a ring (K, 2) onto walls' faces and openings near them, and its corners to where they meet.
+
+    A short side between two that were moved is a corner which the cells have cut off.
+    """
+    ends = np.roll(ring, -1, axis=0)
+    lines = [_match(begin, end, sides) for begin, end in zip(ring, ends, strict=True)]
+    count = len(ring)
+    kept = [
+        k
+        for k in range(count)
+        if lines[k][2]
+        or np.hypot(*(ends[k] - ring[k])) > _CUT_CORNER_M
+        or not (lines[k - 1][2] and lines[(k + 1) % count][2])
+    ]
+    corners: list[FloatArray] = []
+    for before, after in zip([kept[-1], *kept], kept, strict=False):
+        corner = (ends[before] + ring[after]) / 2
+        meeting = _meet(lines[before], lines[after])
+        if meeting is not None and np.hypot(*(meeting - corner)) < 2 * _SNAP_M:
+            corners.append(meeting)
+        else:
+            corners += [place + ((corner - place) @ along) * along for place, along, _ in (lines[before], lines[after])]
+    return _drop_repeated(np.array(corners))
+
+
+def _meet(first: _Line, second: _Line) -> FloatArray | None:
+    """Where two lines meet; None where they are parallel to 20 degrees."""
+    turn = first[1][0] * second[1][1] - first[1][1] * second[1][0]
+    if abs(turn) < np.sin(np.deg2rad(20)):
+        return None
+    apart = second[0] - first[0]
+    return np.asarray(first[0] + (apart[0] * second[1][1] - apart[1] * second[1][0]) / turn * first[1])
+
+
+def _drop_repeated(ring: FloatArray) -> FloatArray:
+    """Remove corners that repeat the previous one or are on the line between their neighbours."""
+    while len(ring) > 3:
+        before, after = np.roll(ring, 1, axis=0), np.roll(ring, -1, axis=0)
+        first, second = ring - before, after - ring
+        cross = np.abs(first[:, 0] * second[:, 1] - first[:, 1] * second[:, 0])
+        flat = (cross < 0.01 * np.hypot(*(after - before).T)) | (np.hypot(*first.T) < 0.01)
+        if not flat.any():
+            break
+        ring = np.delete(ring, np.argmax(flat), axis=0)
+    return ring
+
+
+def _match(begin: FloatArray, end: FloatArray, sides: Segments) -> _Line:
+    """Point and direction of the side of a wall or an opening that a side of a ring is; its own if there is none."""
+    length = float(np.hypot(*(end - begin)))
+    along = (end - begin) / max(length, 1e-9)
+    if length >= _LEAST_SIDE_M:
+        _, sides = sides.near(np.array([begin, end]), _SNAP_M + length * np.tan(_SNAP_RAD))
+        middle = (begin + end) / 2
+        offsets = np.abs(((middle - sides.ends[:, 0]) * sides.normals).sum(axis=1))
+        steps, _ = sides.locate(begin, along)
+        overlaps = np.minimum(steps.max(axis=1), length) - np.maximum(steps.min(axis=1), 0)
+        fits = (sides.alongs @ along > np.cos(_SNAP_RAD)) & (offsets < _SNAP_M) & (overlaps > 0.3 * length)
+        if fits.any():
+            chosen = int(np.argmax(np.where(fits, overlaps, -np.inf)))
+            return sides.ends[chosen, 0], sides.alongs[chosen], True
+    return begin, along, False
+
+
+def _find_unknown(outline: FloatArray, raster: Raster, sides: Segments) -> tuple[FloatArray, float]:
+    """Parts (U, 2, 2) of an outline without anything occupied, wall or opening near, and their share of its length."""
     unknown, hidden, total = [], 0.0, 0.0
     for begin, end in zip(outline, np.roll(outline, -1, axis=0), strict=True):
-        length = float(np.hypot(*(end - begin)))
+        _, beside = sides.near(np.array([begin, end]), 0.1)
+        along = end - begin
+        length = float(np.hypot(*along))
         total += length
-        count = max(1, round(length / _STEP_M))
-        is_known = bounds[raster.cells(begin + np.outer((np.arange(count) + 0.5) / count, end - begin))]
+        count = max(1, round(length / 0.1))
+        places = begin + np.outer((np.arange(count) + 0.5) / count, along)
+        is_known = raster.beside_occupied[raster.cells(places)] | (
+            beside.distances(places).min(axis=1, initial=np.inf) < 0.05
+        )
         edges = np.flatnonzero(np.diff(np.concatenate([[True], is_known, [True]]).astype(np.int8)))
-        for part in edges.reshape(-1, 2) / count:
-            hidden += length * (part[1] - part[0])
-            if length * (part[1] - part[0]) >= _LEAST_SIDE_M:
-                unknown.append(begin + np.outer(part, end - begin))
+        for first, last in zip(edges[::2], edges[1::2], strict=True):
+            hidden += (last - first) / count * length
+            if (last - first) / count * length >= _LEAST_SIDE_M:
+                unknown.append(begin + np.outer([first / count, last / count], along))
     return np.array(unknown).reshape(-1, 2, 2), hidden / max(total, 1e-9)

@@ -16,6 +16,7 @@ from gridslam.types import FloatArray, IntArray, OccupancyGrid
 _NEAR_M = 0.25
 """Neighbours within this distance determine a normal: two cells in each direction are five, enough for a line."""
 _MOST_PENDING = 200_000
+_MOST_PAIRS = 1_000_000
 _LINK_M = 0.3
 _LINK_RAD = np.deg2rad(25)
 _LINK_OFFSET_M = 0.08
@@ -114,34 +115,47 @@ def _orient(positions: FloatArray, views: FloatArray, weights: FloatArray) -> Su
     if len(positions) < 2:
         return SurfacePoints(positions[:0], views[:0], weights[:0])
     pairs = spatial.cKDTree(positions).query_pairs(_NEAR_M, output_type="ndarray")
-    normals = _find_normals(positions, views, weights, pairs)
-    facing = np.einsum("ij,ij->i", normals[pairs[:, 0]], normals[pairs[:, 1]]) > 0.5
-    return SurfacePoints(positions, _find_normals(positions, views, weights, pairs[facing]), weights)
+    normals = _find_normals(positions, views, weights, _bands(pairs))
+    facing = (band[np.einsum("ij,ij->i", normals[band[:, 0]], normals[band[:, 1]]) > 0.5] for band in _bands(pairs))
+    return SurfacePoints(positions, _find_normals(positions, views, weights, facing), weights)
 
 
-def _find_normals(positions: FloatArray, views: FloatArray, weights: FloatArray, pairs: IntArray) -> FloatArray:
+def _bands(pairs: IntArray) -> Iterator[IntArray]:
+    """Some of the pairs (P, 2) at a time: the arrays of all would be large."""
+    return (pairs[first : first + _MOST_PAIRS] for first in range(0, len(pairs), _MOST_PAIRS))
+
+
+def _find_normals(
+    positions: FloatArray, views: FloatArray, weights: FloatArray, bands: Iterable[IntArray]
+) -> FloatArray:
     """Normals (N, 2) by the principal axes of each point's neighbourhood."""
-    apart = positions[pairs[:, 1]] - positions[pairs[:, 0]]
-    moments = []
-    for a, b in ((0, 0), (0, 1), (1, 1)):
-        product = apart[:, a] * apart[:, b]
-        sums = [np.bincount(pairs[:, end], product * weights[pairs[:, 1 - end]], len(positions)) for end in (0, 1)]
-        moments.append(sums[0] + sums[1])
+    moments = np.zeros((3, len(positions)))
+    for band in bands:
+        apart = positions[band[:, 1]] - positions[band[:, 0]]
+        for moment, (a, b) in zip(moments, ((0, 0), (0, 1), (1, 1)), strict=True):
+            product = apart[:, a] * apart[:, b]
+            for end in (0, 1):
+                moment += np.bincount(band[:, end], product * weights[band[:, 1 - end]], len(positions))
     xx, xy, yy = moments
     across = 0.5 * np.arctan2(2 * xy, xx - yy) + np.pi / 2
     normals = np.column_stack([np.cos(across), np.sin(across)])
-    normals[np.einsum("ij,ij->i", normals, views) < 0] *= -1
+    flipped = np.einsum("ij,ij->i", normals, views) < 0
+    normals[flipped] *= -1
     return normals
 
 
 def label_surfaces(points: SurfacePoints) -> IntArray:
     """Number (N,) of the smooth surface that each point is on: neighbours lie in the line of both, and face one way."""
     pairs = points.tree.query_pairs(_LINK_M, output_type="ndarray")
-    ends = points.normals[pairs]
-    apart = points.positions[pairs[:, 1]] - points.positions[pairs[:, 0]]
-    smooth = np.einsum("ij,ij->i", ends[:, 0], ends[:, 1]) > np.cos(_LINK_RAD)
-    smooth &= (np.abs(np.einsum("ij,ikj->ik", apart, ends)) < _LINK_OFFSET_M).all(axis=1)
-    first, second = pairs[smooth].T
+    linked = [np.zeros((0, 2), np.int64)]
+    for band in _bands(pairs):
+        first, second = band.T
+        apart = points.positions[second] - points.positions[first]
+        smooth = np.einsum("ij,ij->i", points.normals[first], points.normals[second]) > np.cos(_LINK_RAD)
+        for end in (first, second):
+            smooth &= np.abs(np.einsum("ij,ij->i", apart, points.normals[end])) < _LINK_OFFSET_M
+        linked.append(band[smooth])
+    first, second = np.concatenate(linked).T
     graph = coo_matrix((np.ones(len(first), np.bool_), (first, second)), (len(points),) * 2)
     labels: IntArray = connected_components(graph, directed=False)[1]
     return labels

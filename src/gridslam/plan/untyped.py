@@ -19,16 +19,17 @@ coo_matrix: Any = _coo_matrix
 connected_components: Any = _csgraph.connected_components
 
 
-def require_map_extra() -> Any:  # noqa: ANN401
-    """Import shapely.
+def require_map_extra() -> tuple[Any, Any]:
+    """Import contourpy and shapely.
 
     Raises
     ------
     MissingDependencyError
-        It is not installed; the extra ``map`` brings it.
+        One of them is not installed; the extra ``map`` brings them.
     """
     try:
+        import contourpy
         import shapely
-    except ImportError:
-        raise MissingDependencyError("a floor plan", "shapely", "map") from None
-    return shapely
+    except ImportError as error:
+        raise MissingDependencyError("a floor plan", str(error.name), "map") from None
+    return contourpy, shapely

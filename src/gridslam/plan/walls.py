@@ -9,9 +9,10 @@ from typing import final
 import numpy as np
 
 from gridslam.plan.faces import Face
-from gridslam.plan.rasters import BoolArray, Raster, dilate, fill_polygons
+from gridslam.plan.rasters import BoolArray, Raster
 from gridslam.plan.segments import Segments
-from gridslam.types import FloatArray
+from gridslam.plan.untyped import connected_components, coo_matrix, spatial
+from gridslam.types import FloatArray, IntArray
 
 _PARALLEL_RAD = np.deg2rad(3)
 _SAME_LINE_M = 0.05
@@ -26,8 +27,14 @@ _SHORTEST_M = 0.3
 _LONGEST_FURNITURE_M = 3.6
 _DEEPEST_FURNITURE_M = 1.5
 _SHALLOWEST_FURNITURE_M = 0.2
+_CORNER_M = 0.35
 _SHORT_M = 2.0
+_CLUTTER_M = 0.2
+_CLUTTER_RAD = np.deg2rad(10)
+_SHORTEST_ALONE_M = 0.6
 _BESIDE_M = 1.0
+_SQUARE_RAD = np.deg2rad(20)
+_NONE = np.zeros((0, 2), np.int64)
 
 
 @final
@@ -50,6 +57,11 @@ class Wall:
     def length_m(self) -> float:
         """Length of the piece."""
         return float(np.hypot(*(self.ends[1] - self.ends[0])))
+
+    @property
+    def direction(self) -> float:
+        """Direction from the first end to the second, rad."""
+        return float(np.arctan2(*(self.ends[1] - self.ends[0])[::-1]))
 
     @property
     def outline(self) -> FloatArray:
@@ -78,8 +90,9 @@ def join_faces(faces: Sequence[Face], raster: Raster) -> list[Face]:
 
 def _find_continuation(face: Face, segments: Segments, is_left: BoolArray, raster: Raster) -> int | None:
     """Number of the first face that is left in the line of this one, with nothing free between them."""
+    numbers, segments = segments.near(face.ends, _WIDEST_HIDDEN_M)
     steps, offsets = segments.locate(face.middle, face.along)
-    fits = is_left & (segments.alongs @ face.along > np.cos(2 * _PARALLEL_RAD))
+    fits = is_left[numbers] & (segments.alongs @ face.along > np.cos(2 * _PARALLEL_RAD))
     fits &= np.abs(offsets).max(axis=1, initial=0.0) < _SAME_LINE_M
     before, after = face.begin - steps.max(axis=1, initial=-np.inf), steps.min(axis=1, initial=np.inf) - face.end
     fits &= np.maximum(before, after) < _WIDEST_HIDDEN_M
@@ -89,8 +102,25 @@ def _find_continuation(face: Face, segments: Segments, is_left: BoolArray, raste
         places = begin + np.linspace(0, gap, max(2, int(gap / raster.cell_m) + 1))
         hidden = np.asarray(face.middle + np.outer(places, face.along) - 0.02 * face.normal, np.float64)
         if gap <= 0 or raster.share_free(hidden) < 0.3:
-            return int(k)
+            return int(numbers[k])
     return None
+
+
+def drop_clutter(faces: Sequence[Face]) -> list[Face]:
+    """Leave out short faces close in front of or behind a longer one, and those of less than 60 cm that touch none."""
+    segments = Segments.of(np.array([face.ends for face in faces]))
+    kept = []
+    for k, face in enumerate(faces):
+        numbers, near = segments.near(face.ends, _CORNER_M)
+        steps, offsets = near.locate(face.middle, face.along)
+        longer = near.lengths > 2 * face.length_m
+        beside = longer & (near.alongs @ face.along > np.cos(_CLUTTER_RAD))
+        beside &= (np.abs(offsets.mean(axis=1)) < _CLUTTER_M) & (steps.min(axis=1) < face.begin + 0.2 * face.length_m)
+        beside &= steps.max(axis=1) > face.end - 0.2 * face.length_m
+        touching = (near.distances(face.ends).min(axis=0) < _CORNER_M) & (numbers != k)
+        if not beside.any() and (face.length_m >= _SHORTEST_ALONE_M or touching.any()):
+            kept.append(face)
+    return kept
 
 
 def _unite(long: Face, short: Face) -> Face:
@@ -106,24 +136,65 @@ def _unite(long: Face, short: Face) -> Face:
 
 
 def find_furniture_faces(faces: Sequence[Face], raster: Raster) -> tuple[BoolArray, list[FloatArray]]:
-    """Which faces (F,) are furniture's, and outlines (4, 2) of that which stands against a wall.
+    """Which faces (F,) are furniture's, and outlines (K, 2) of that which stands against a wall.
 
-    Furniture stands alone (see `Raster.furniture`), or is a short face in front of a longer one.
+    Furniture stands alone (see `Raster.furniture`); or is a short face in front of a longer one; or two short faces
+    that meet at a corner which protrudes, without another side of a wall behind them.
     """
     segments = Segments.of(np.array([face.ends for face in faces]))
-    middles = segments.ends.mean(axis=1)
-    is_furniture = raster.furniture[raster.cells(middles - 0.06 * segments.normals)]
+    is_furniture = np.array([raster.is_furniture(face.middle - 0.06 * face.normal) for face in faces], np.bool_)
     has_back = np.array([bool(_find_backs(face, segments)) for face in faces], np.bool_)
+    is_short = (segments.lengths < _LONGEST_FURNITURE_M) & ~has_back & ~is_furniture
     outlines = []
-    for k in np.flatnonzero((segments.lengths < _LONGEST_FURNITURE_M) & ~has_back & ~is_furniture).tolist():
+    for group in _find_protruding(segments, np.flatnonzero(is_short & (segments.lengths < _WIDEST_HIDDEN_M))):
+        is_furniture[group] = True
+        outlines.append(_enclose(segments.ends[group].reshape(-1, 2), segments.alongs[group[0]]))
+    for k in np.flatnonzero(is_short & ~is_furniture).tolist():
         depth = _depth_before_wall(k, segments, ~is_furniture)
         if depth is not None and _is_solid(faces[k], depth, raster):
             is_furniture[k] = True
-            ends = faces[k].ends
-            outlines.append(np.concatenate([ends[::-1], ends - depth * faces[k].normal]))
-    beside = dilate(fill_polygons(raster, outlines), 2)  # its other sides are no walls either
-    is_furniture |= (segments.lengths < _LONGEST_FURNITURE_M) & ~has_back & beside[raster.cells(middles)]
-    return is_furniture, outlines
+            outlines.append(np.concatenate([faces[k].ends, faces[k].ends - depth * faces[k].normal]))
+    return is_furniture, [hull(outline) for outline in outlines]
+
+
+def _find_protruding(segments: Segments, chosen: IntArray) -> list[IntArray]:
+    """Groups of the chosen segments, by their numbers, that meet at square corners which protrude."""
+    ends, normals = segments.ends[chosen], segments.normals[chosen]
+    pairs = spatial.cKDTree(ends.reshape(-1, 2)).query_pairs(_CORNER_M, output_type="ndarray") if len(chosen) else _NONE
+    (first, here), (second, there) = (pairs[:, 0] // 2, pairs[:, 0] % 2), (pairs[:, 1] // 2, pairs[:, 1] % 2)
+    outward = ((ends[second, 1 - there] - ends[first, here]) * normals[first]).sum(axis=1) < 0
+    outward |= ((ends[first, 1 - here] - ends[second, there]) * normals[second]).sum(axis=1) < 0
+    meets = outward & (np.abs((normals[first] * normals[second]).sum(axis=1)) < np.sin(_SQUARE_RAD))
+    graph = coo_matrix((np.ones(meets.sum(), np.bool_), (first[meets], second[meets])), (len(chosen),) * 2)
+    _, labels = connected_components(graph, directed=False)
+    groups = [chosen[labels == label] for label in np.unique(labels)]
+    return [group for group in groups if len(group) > 1]
+
+
+def _enclose(points: FloatArray, along: FloatArray) -> FloatArray:
+    """Corners (4, 2) of the rectangle about points (N, 2) whose sides are along a direction and across it."""
+    axes = np.array([along, [-along[1], along[0]]])
+    turned = points @ axes.T
+    low, high = turned.min(axis=0), turned.max(axis=0)
+    return np.asarray(np.array([low, (high[0], low[1]), high, (low[0], high[1])]) @ axes)
+
+
+def hull(points: FloatArray) -> FloatArray:
+    """Corners (K, 2) of the convex hull of points (N, 2), anticlockwise."""
+    order = np.lexsort(points.T[::-1])
+    ring: list[FloatArray] = []
+    for row in (points[order], points[order[::-1]]):
+        chain: list[FloatArray] = []
+        for point in row:
+            while len(chain) > 1 and _turns_right(chain[-2], chain[-1], point):
+                chain.pop()
+            chain.append(point)
+        ring += chain[:-1]
+    return np.array(ring)
+
+
+def _turns_right(a: FloatArray, b: FloatArray, c: FloatArray) -> bool:
+    return float((b[0] - a[0]) * (c[1] - a[1]) - (b[1] - a[1]) * (c[0] - a[0])) <= 1e-12
 
 
 def _depth_before_wall(k: int, segments: Segments, is_wall: BoolArray) -> float | None:
@@ -132,12 +203,13 @@ def _depth_before_wall(k: int, segments: Segments, is_wall: BoolArray) -> float 
     It must be longer than the face, or be seen on both sides of it; beside a short face one side is enough.
     """
     length = segments.lengths[k]
-    steps, offsets = segments.locate(segments.ends[k, 0], segments.alongs[k])
+    numbers, near = segments.near(segments.ends[k], 2 * _DEEPEST_FURNITURE_M)
+    steps, offsets = near.locate(segments.ends[k, 0], segments.alongs[k])
     depths = -offsets.mean(axis=1)
-    behind = is_wall & (segments.alongs @ segments.alongs[k] > np.cos(_PARALLEL_RAD))
+    behind = is_wall[numbers] & (near.alongs @ segments.alongs[k] > np.cos(_PARALLEL_RAD))
     behind &= (depths > _SHALLOWEST_FURNITURE_M) & (depths < _DEEPEST_FURNITURE_M)
     behind &= (steps.min(axis=1) < length + _BESIDE_M) & (steps.max(axis=1) > -_BESIDE_M)
-    if length > _SHORT_M and not (behind & (segments.lengths > length)).any():
+    if length > _SHORT_M and not (behind & (near.lengths > length)).any():
         sides = (steps[behind].min(initial=0) < 0) and (steps[behind].max(initial=0) > length)
         return float(depths[behind].min()) if sides else None
     return float(depths[behind].min()) if behind.any() else None
@@ -149,6 +221,25 @@ def _is_solid(face: Face, depth: float, raster: Raster) -> bool:
     across = np.linspace(0.1, depth - 0.1, 5)
     places = face.middle + along[:, None, None] * face.along - across[None, :, None] * face.normal
     return raster.share_free(places.reshape(-1, 2)) < 0.2
+
+
+def close_corners(walls: Sequence[Wall]) -> list[Wall]:
+    """Lengthen walls that end up to 35 cm before the middle of another one that crosses their direction."""
+    segments = Segments.of(np.array([wall.ends for wall in walls]))
+    closed = []
+    for k, wall in enumerate(walls):
+        ends = wall.ends.copy()
+        _, near = segments.near(ends, 2 * _CORNER_M)
+        for end, along in ((0, -segments.alongs[k]), (1, segments.alongs[k])):
+            steps, offsets = near.locate(ends[end], along)
+            crossing = np.abs(near.normals @ along) > np.sin(np.pi / 4)
+            crossing &= (offsets.min(axis=1) < _CORNER_M) & (offsets.max(axis=1) > -_CORNER_M)
+            slopes = (steps[:, 1] - steps[:, 0]) / np.where(crossing, offsets[:, 1] - offsets[:, 0], 1.0)
+            meetings = (steps[:, 0] - offsets[:, 0] * slopes)[crossing]
+            meetings = meetings[(meetings > 0) & (meetings < _CORNER_M)]
+            ends[end] += meetings.min(initial=np.inf) * along if len(meetings) else 0.0
+        closed.append(Wall(ends, wall.thickness_m))
+    return closed
 
 
 def make_walls(faces: Sequence[Face]) -> list[Wall]:
@@ -176,6 +267,7 @@ def make_walls(faces: Sequence[Face]) -> list[Wall]:
 
 def _find_backs(face: Face, segments: Segments) -> list[tuple[int, float, float, float, float]]:
     """Faces back to back with this one: number, overlap, begin and end of the wall along it, and its thickness."""
+    numbers, segments = segments.near(face.ends, _THICKEST_M)
     steps, offsets = segments.locate(face.middle, face.along)
     low, high = np.maximum(face.begin, steps.min(axis=1)), np.minimum(face.end, steps.max(axis=1))
     opposite = segments.alongs @ face.along < -np.cos(_PARALLEL_RAD)
@@ -186,7 +278,7 @@ def _find_backs(face: Face, segments: Segments) -> list[tuple[int, float, float,
     begins = np.maximum(low - _REACH_M, np.minimum(face.begin, steps.min(axis=1)))
     ends = np.minimum(high + _REACH_M, np.maximum(face.end, steps.max(axis=1)))
     rows = np.column_stack([high - low, begins, ends, thickness])
-    return [(int(k), *rows[k].tolist()) for k in np.flatnonzero(fits)]
+    return [(int(numbers[k]), *rows[k].tolist()) for k in np.flatnonzero(fits)]
 
 
 def _subtract(parts: list[tuple[float, float]], taken: list[tuple[float, float]]) -> list[tuple[float, float]]:
