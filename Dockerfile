@@ -1,7 +1,7 @@
 # Two images, for x86-64 and ARM (docker buildx build --platform linux/amd64,linux/arm64 .):
 #
-#   docker build -t gridslam .                                slim: the command line, and the node without ROS
-#   docker build -t gridslam-ros --target ros .               ROS 2's own image: the node by rclpy
+#   docker build -t gridslam .                                slim: the command line
+#   docker build -t gridslam-ros --target ros .               ROS 2's own image: the node
 #
 # Both run as a user without rights, in /work:
 #

@@ -21,7 +21,8 @@ import numpy as np
 from scipy.stats import t as student
 
 from gridslam.api.evaluation import evaluate_trajectory
-from gridslam.batch.runs import Run, read_runs
+from gridslam.batch.journal import read_rows
+from gridslam.batch.regress import measure
 from measure import RESULTS, document
 
 LOGS = {name: f"{name}.relations" for name in ("intel", "aces", "mit-csail")}
@@ -55,10 +56,10 @@ def main(arguments: Sequence[str] | None = None) -> Path:
     given = parser.parse_args(arguments)
     if given.manifest:
         return write_manifest(given.batch, given.data)
-    runs = [_describe(run) for run in read_runs(given.batch)]
+    runs = [_describe(row) for row in read_rows(given.batch)]
     cells = collect(runs)
     found = document(
-        "gridslam batch suite.csv --workers 1; CPU time of the children, which Python's start is no part of",
+        "gridslam batch suite.csv --workers 1; CPU time of the children, with Python's start",
         cells=cells,
         systems=_score_systems(given.data),
         runs=runs,
@@ -130,15 +131,12 @@ def _mean(figure: float | dict[str, float]) -> float:
     return figure["mean"] if isinstance(figure, dict) else figure
 
 
-def _describe(run: Run) -> dict[str, Any]:
-    name, _, seed = run.row["folder"].rpartition("-seed")
+def _describe(row: Mapping[str, Any]) -> dict[str, Any]:
+    name, _, seed = row["folder"].rpartition("-seed")
     log, _, variant = name.rpartition("-")
-    found: dict[str, Any] = {"log": log, "variant": variant, "seed": int(seed), "failed": not run.is_done}
-    for figure, decimals in FIGURES.items():
-        value = run.row.get(figure, run.figures.get(figure))
-        if value is not None and run.is_done:
-            found[figure] = round(value, decimals)
-    return found
+    figures = measure(row)
+    found = {"log": log, "variant": variant, "seed": int(seed), "failed": row["status"] == "failed"}
+    return found | {name: round(figures[name], decimals) for name, decimals in FIGURES.items() if name in figures}
 
 
 def _score_systems(data: Path) -> dict[str, dict[str, Any]]:

@@ -23,11 +23,7 @@ TIERS = {
         "reference/test_graph_oracles.py",
     ),
     "browser": ("contracts/page/",),
-    "ros": (
-        "contracts/test_ros1_node.py",
-        "contracts/test_dds_node.py",
-        "unit/ros/test_dds_transport.py",
-    ),
+    "ros": ("contracts/test_ros1_node.py",),
     "ros2": ("contracts/ros2/",),
     "long": ("long/", "fuzz/test_thousands_of_files.py"),
 }

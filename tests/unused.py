@@ -2,10 +2,8 @@
 # ruff: noqa: B018, F821
 
 context, format_epilog, format_usage, get_command, list_commands  # click
-unused  # Cyclone DDS: of the methods that it calls of a message's class
 __getattr__, __dir__, __signature__, __cause__, __context__, _repr_html_, _repr_svg_  # Python and notebooks
 writeable, comment, compress_type, max_size, should_exit  # NumPy, zipfile, websockets, uvicorn
-complete_submaps  # a size of arrays, which is text
 run_map, run_localize, run_doctor, run_evaluate, run_trial  # targets of jobs, which are text
 (
     comments,
@@ -18,6 +16,5 @@ run_map, run_localize, run_doctor, run_evaluate, run_trial  # targets of jobs, w
     runner_up_pose,
     agreeing_keypoints,
 )  # read together with others
-complete_submaps  # a size, by its name
 START_AT_GIVEN_POSE  # a constant of slam_toolbox's service
-to_planar, laser_motion  # offered to callers
+to_planar, laser_motion, squared_innovations  # offered to callers

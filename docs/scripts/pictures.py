@@ -9,6 +9,7 @@ import io
 import json
 import math
 import os
+import shutil
 import subprocess
 import sys
 import tempfile
@@ -20,7 +21,7 @@ from typing import Any
 import numpy as np
 from drives import drive, extent, mapped
 from matplotlib.figure import Figure
-from panels import ORANGE, SIDE, Chart, Panel, keep, save
+from panels import IMAGES, ORANGE, SIDE, Chart, Panel, keep, save
 from pictures_of_parts import RESULTS, error_budget, measurement_models, motion_models, resampling, scan_matching
 from PIL import Image
 
@@ -36,7 +37,7 @@ from gridslam.io.measurement import Measurement
 from gridslam.io.trajectories import read_relations
 from gridslam.localization import KnownMap, MonteCarloLocalization
 from gridslam.mapping import OccupancyGridMapping
-from gridslam.plan.changes_files import write_changes_png
+from gridslam.plan.changes import write_changes_png
 from gridslam.sim import LidarConfig
 from gridslam.types import FloatArray, StepReport
 from gridslam.viz import draw_graph
@@ -289,12 +290,12 @@ def floor_plans() -> None:
     with tempfile.TemporaryDirectory() as folder:
         out = Path(folder)
         gridslam("demo", out / "demo")
-        gridslam("plan", out / "demo", out / "plan", "--straighten")
-        keep("floor_plan", Image.open(out / "plan" / "plan.png"), 900)
+        gridslam("plan", out / "demo", out / "plan")
+        shutil.copy(out / "plan" / "plan.svg", IMAGES / "floor_plan.svg")
         if (DATA / "intel.clf.bz2").exists():
             gridslam("map", DATA / "intel.clf.bz2", out / "intel")
-            gridslam("plan", out / "intel", out / "plan", "--straighten")
-            keep("floor_plan_intel", Image.open(out / "plan" / "plan.png"), 900)
+            gridslam("plan", out / "intel", out / "plan")
+            shutil.copy(out / "plan" / "plan.svg", IMAGES / "floor_plan_intel.svg")
         days, _ = make_days(2)
         changes = compare(days)
         write_changes_png(out / "changes.png", changes)

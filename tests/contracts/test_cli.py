@@ -369,7 +369,7 @@ def test_demo_maps_a_simulated_building_and_tells_its_errors(call, tmp_path, mon
 def test_a_node_gets_the_options_that_were_given_and_no_others(monkeypatch, asked):
     """Else what a parameter file says, of `floor` for one, is overridden, and a node that localizes is warned of it."""
     given = {}
-    run = "gridslam.ros.ros2_dds.dds_transport.run_dds"
-    monkeypatch.setattr(run, lambda arguments, options, interfaces: given.update(options.given))
-    assert main(["ros2", "--transport", "dds", *asked]) == 0
+    run = "gridslam.ros.ros2.rclpy_transport.run_rclpy"
+    monkeypatch.setattr(run, lambda arguments, options: given.update(options.given))
+    assert main(["ros2", *asked]) == 0
     assert given in ({"particles": 8}, {"map_file": "map.yaml", "mode": "localization"})

@@ -117,13 +117,6 @@ def test_view_says_what_is_no_result_of_a_run(call, tmp_path):
     )
 
 
-def test_view_of_a_diagnosis_gives_the_address_of_its_report(call, log, tmp_path):
-    call("doctor", log, "-o", tmp_path / "report")
-    status, out, err = call("view", tmp_path / "report")
-    address = (tmp_path / "report" / "report.txt").as_uri()
-    assert (status, out, err) == (0, f"{tmp_path / 'report'}: open {address}\n", "")
-
-
 @pytest.mark.parametrize("has_diagnosis", [False, True])
 def test_view_serves_until_interrupted_which_is_a_good_end(call, log, mapped, tmp_path, has_diagnosis):
     """Of a folder with a diagnosis, too, it shows the run."""

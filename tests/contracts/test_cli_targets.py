@@ -101,13 +101,6 @@ def test_where_a_session_cannot_be_saved_the_results_are_written(call, log, tmp_
     assert not saved.exists()
 
 
-def test_where_the_page_of_a_batch_cannot_be_written_its_results_are(call, log, tmp_path, monkeypatch):
-    monkeypatch.setattr("gridslam.cli.batch.write_report", full_disk)
-    status, out, err = call("batch", log, "-o", tmp_path / "out", "--", *FEW)
-    assert (status, "1 done" in out, "report" in out, "No space left" in err) == (1, True, False, True)
-    assert list((tmp_path / "out").glob("*/map.yaml"))
-
-
 @pytest.mark.parametrize(
     ("option", "value"), [("--duration", "inf"), ("--start", "1e300"), ("--max-gap", "inf"), ("--max-gap", "-1e300")]
 )

@@ -153,7 +153,8 @@ def test_a_log_is_no_reference(logs, tmp_path, capsys):
 def test_a_place_that_cannot_be_written_is_bad_usage(logs, tmp_path, capsys):
     (tmp_path / "best.tune").touch()
     assert main(["tune", str(logs / "log1.clf"), "-o", str(tmp_path / "best.toml"), *FEW]) == 2
-    assert capsys.readouterr().err == f"gridslam: {tmp_path / 'best.tune'}: cannot be written: File exists\n"
+    place = tmp_path / "best.tune" / "runs.sqlite"
+    assert capsys.readouterr().err == f"gridslam: {place}: cannot be written: File exists\n"
 
 
 def test_without_the_library_the_extra_is_named_before_anything_runs(logs, tmp_path, capsys, monkeypatch):

@@ -279,36 +279,6 @@ def test_a_robot_is_localized_in_a_known_map(ros, tmp_path):
     assert node.wait(60) == 0, ros.log("node")
 
 
-def test_a_node_registers_again_at_a_master_that_was_restarted(ros, tmp_path):
-    bag = tmp_path / "flat.bag"
-    write_carmen(tmp_path / "flat.clf", flat_drive(3).measurements[:60])
-    convert_log(tmp_path / "flat.clf", bag)
-    node = ros.node("scan:=scan", "_particles:=4", f"_out:={tmp_path / 'out'}", *PATIENT)
-    ros.play(bag, 3)
-
-    def registered() -> list[list[str]]:
-        kinds = ros.master.getSystemState("/test")[2]
-        return [sorted(name for name, nodes in kind if NAME in nodes) for kind in kinds]
-
-    before = registered()
-    core = ros.processes[0]
-    core.send_signal(signal.SIGINT)
-    core.wait(30)
-    dead = f"no ROS master at {ros.uri}"
-    assert ros.until(lambda: dead in ros.log("node"))
-    ros.start_master()
-    assert ros.until(lambda: registered() == before), (before, registered(), ros.log("node"))
-    assert "the master was restarted: registering again" in ros.log("node")
-    assert ros.until(lambda: "no scans on /scan since" in ros.log("node").partition(dead)[2])
-    assert "scans saved: " in ros.run("rosservice", "call", f"{NAME}/save")
-    ros.play(bag, 3)  # from the beginning: another map
-    node.send_signal(signal.SIGINT)
-    assert node.wait(60) == 0, ros.log("node")
-    for out in ("out", "out-1"):
-        document = json.loads((tmp_path / out / "run.json").read_text())
-        assert document["scans"]["read"] >= 55  # the first ones may get lost
-
-
 def install_packages(ros, tmp_path):
     program = tmp_path / "gridslam"
     script = NODE.replace('"ros1", *', "*")  # the script of the package says ros1

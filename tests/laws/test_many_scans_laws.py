@@ -10,7 +10,6 @@ from gridslam.grid import Evidence, TileMaps
 from gridslam.grid.scan_batch import ScanBatch, Weighing
 from gridslam.kernels import reference
 from gridslam.kernels.reference_update import unknown_of
-from gridslam.matching.gauss_newton import GaussNewton
 from gridslam.types import StoredScan
 
 compiled = pytest.importorskip("gridslam.kernels._compiled")
@@ -124,30 +123,6 @@ def test_scans_are_weighed_by_what_was_drawn_before_them(backend, monkeypatch):
         np.testing.assert_array_equal(own >= 0, known)
         np.testing.assert_allclose(own[known], 1 / (1 + np.square(away[known] / 0.1)), rtol=1e-5)
     assert (weighing.weights > 0.2).any()
-
-
-@BACKENDS
-def test_scans_matched_together_are_matched_as_one_by_one(backend, monkeypatch):
-    rng = np.random.default_rng(2)
-    poses, scans = random_scans(rng)
-    maps = empty()
-    maps.draw(poses, ScanBatch.of(scans), 0, len(scans))
-    scans[3] = StoredScan(scans[3].ends[:4], scans[3].origin)  # fewer than `min_beams`
-    guesses = poses + rng.normal(scale=[0.03, 0.03, 0.01], size=poses.shape)
-    prior = 2.0 * np.eye(3)
-    monkeypatch.setattr(tiles_module, "backend", backend)
-    matcher = GaussNewton()
-    for threads in (1, 3):
-        maps.threads = threads
-        together = matcher.match_scans(maps, guesses, prior, ScanBatch.of(scans))
-        for k, scan in enumerate(scans):
-            alone = matcher(maps, ROW, guesses[k : k + 1], prior[None], scan)
-            for a, b in zip(
-                (together.only(k).poses, together.only(k).information, together.only(k).score),
-                (alone.poses, alone.information, alone.score),
-                strict=True,
-            ):
-                np.testing.assert_array_equal(a, b)
 
 
 def test_the_twins_agree_on_where_there_are_too_few_tiles():

@@ -31,8 +31,6 @@ KERNELS = (
     "correlate",
     "sum_at_ends",
     "draw_scans",
-    "match_scans",
-    "shortest_ways",
     "mean_shift",
     "are_true",
     "slots_of",
@@ -40,13 +38,10 @@ KERNELS = (
     "fit_surfaces",
     "match_surfaces",
     "match_to_surfaces",
-    "draw_gaussians",
-    "kalman_update",
-    "predict_landmarks",
     "parse_numbers",
     "format_rows",
 )
-"""Those from `max_pyramid` on in `test_branch_and_bound_laws.py`, `test_many_scans_laws.py`, `test_landmark_kernels.py`
+"""Those from `max_pyramid` on in `test_branch_and_bound_laws.py`, `test_many_scans_laws.py`, `test_small_kernels.py`
 and `test_number_laws.py`."""
 SEEDS = range(10)
 CELL = 0.05

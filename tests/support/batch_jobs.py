@@ -75,7 +75,7 @@ def with_faults(healthy, broken, hanging, greedy, crashing):
 
 
 def check_faults(rows, out, **expected):
-    """Each fault has its name, and nothing is left of what failed: no process below the server of children, no file."""
+    """Each fault has its name, and nothing is left of what failed: no process, no file."""
     names = {"broken": "InputError", "hanging": "timeout", "greedy": "out of memory", "crashing": "SIGSEGV"}
     assert Counter(row["error"] for row in rows if row["status"] == "failed") == {
         names[kind]: count for kind, count in expected.items()
@@ -85,7 +85,7 @@ def check_faults(rows, out, **expected):
     done = {row["folder"] for row in rows if row["status"] == "done"}
     assert {path.name for path in out.iterdir()} == {"runs.sqlite", *done}
     assert not list(out.rglob(".*"))
-    assert not [child for server in children_of(os.getpid()) for child in children_of(int(server))]
+    assert not children_of(os.getpid())
 
 
 def children_of(pid):
@@ -106,10 +106,6 @@ def count(arguments):
     if "trace" in arguments:
         with Path(arguments["trace"]).open("a") as file:
             file.write(f"{arguments['job']['folder']}\n")
-
-
-def read_environment(arguments):
-    return {name: os.environ.get(name) for name in arguments["names"]}
 
 
 def write_number(arguments):
@@ -170,13 +166,3 @@ def leave(arguments):
 
 def return_nonsense(arguments):
     return {"value": float("nan")}
-
-
-def kill_server(arguments):
-    """Kill the process that this one was forked from, the first few times."""
-    count(arguments)
-    trace = Path(arguments["trace"])
-    if trace.read_text().split().count(arguments["job"]["folder"]) <= arguments["times"]:
-        os.kill(os.getppid(), signal.SIGKILL)
-        time.sleep(600)
-    return {"value": 1}

@@ -38,7 +38,7 @@ def kill_and_repeat(logs, out, kills, rng, most_s):
     assert run.returncode == 0
     names = {path.name.partition(".")[0] for path in logs.iterdir()}
     assert set(done) == names
-    assert {path.name for path in out.iterdir()} == {"report.html", "runs.sqlite", *names}
+    assert {path.name for path in out.iterdir()} == {"runs.sqlite", *names}
     assert sorted(read_column(out, "folder")) == sorted(names)
     assert set(read_column(out, "status")) == {"done"}
     for name in names:

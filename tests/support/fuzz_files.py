@@ -428,9 +428,7 @@ def _edits(folder: Path) -> Iterator[Family]:
     places = np.array([[0.2, -1.8], [1.2, -1.7], [1.1, -0.5], [0.1, -0.6]])
     points = {"Point": places[:1], "LineString": places[:2], "Polygon": places}
     drawn = tuple(
-        Edit(layer, kind, points[kind], "room", 0.2, {"limit_percent": 20.0})
-        for layer, kinds in LAYERS.items()
-        for kind in kinds
+        Edit(layer, kind, points[kind], "room", 0.2, 20.0) for layer, kinds in LAYERS.items() for kind in kinds
     )
     text = Edits(drawn, "map.yaml", "").to_text()
     image = np.full((40, 50), 254, np.uint8)
@@ -449,8 +447,7 @@ def _edits(folder: Path) -> Iterator[Family]:
         assert parse_edits(json.loads(edits.to_text()), where).to_text() == edits.to_text()
         grid = read_edited_map(where / "edits.geojson")
         make_keepout_mask(grid, edits)
-        with suppress(ArgumentError):  # limits of two units, which the command refuses by the file
-            make_speed_mask(grid, edits)
+        make_speed_mask(grid, edits)
 
     yield Family("edits", prepare, read, 2)
 
@@ -470,7 +467,7 @@ def _plans(folder: Path) -> Iterator[Family]:
 
     def read(where: Path) -> None:
         (path,) = where.iterdir()
-        read_drawn_plan(path).surfaces(0.02)
+        read_drawn_plan(path)
 
     yield Family("plans", prepare, read, 2)
 

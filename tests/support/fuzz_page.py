@@ -39,9 +39,9 @@ _PATIENCE_S = 0.15  # for an answer; most of what is malformed gets one at once
 _METHODS = "GET", "GET", "GET", "HEAD", "POST", "PUT", "OPTIONS", "DELETE", "TRACE", "CONNECT", "get", "G(T", "A" * 3000
 _VERSIONS = "HTTP/1.0", "HTTP/2.0", "HTTP/0.9", "HTTP/1.1 x", ""
 _PATHS = (
-    "/", "/socket", "/map.zip", "/trajectory.tum", "/app.js", "/index.html", "", "*", "//", "/.",
+    "/", "/socket", "/app.js", "/index.html", "", "*", "//", "/.",
     "/..", "/../page.py", "/%2e%2e/page.py", "/..%2fpage.py", "/..%5cpage.py", "/%252e%252e/page.py", "/%c0%ae%c0%ae/",
-    "/%00", "/app.js%00.html", "/%", "/%zz", "/%ff%fe", "/%ed%a0%80", "/socket/", "/map.zip/", "/app.js/", "/~", "/[",
+    "/%00", "/app.js%00.html", "/%", "/%zz", "/%ff%fe", "/%ed%a0%80", "/socket/", "/app.js/", "/~", "/[",
     "http://127.0.0.1/", "http://[/", "http://evil.example/app.js", "///etc/passwd", "/" + "a" * 300, "/" + "a/" * 3000
 )  # fmt: skip
 _QUERIES = (
@@ -69,7 +69,7 @@ _NAMES = (
 )  # fmt: skip
 _NUMBERS = 0, 1, -1, 3, 10**6, 2**63, 10**400, 1.5, 1e300, True, None, "0", "x", "\ud800", [], [[]], {}, {"at": 0}
 _PAYLOADS = b"\xff\xfe", b"x" * 70_000, b"[" * 60_000, b"9" * 60_000, b"", b"null", b'{"do"'
-_KINDS = "ack", "pause", "resume", "step", "seek", "speed", "select", "robot", "fly", "", None, 0, [], {}
+_KINDS = "ack", "pause", "resume", "step", "seek", "speed", "robot", "fly", "", None, 0, [], {}
 _COMMANDS = "set_pose", "locate", "reset", "save", "", None, 7, []
 
 

@@ -93,11 +93,8 @@ INNER_RANKS = {
     },
     "ros": {
         "node": 0,
-        "rtps": 0,
         "ros1": 1,
         "ros2": 1,
-        "ros2_dds": 2,
-        "ros2_rclpy": 2,
     },
 }
 """The same inside a folder that holds folders; its own `__init__` may import them all."""

@@ -9,7 +9,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from PIL import Image
 
 from gridslam.batch.journal import COLUMNS, Journal
 
@@ -78,20 +77,3 @@ def make_rows(count: int, failed: int = 0, seed: int = 0) -> list[dict[str, Any]
             row |= {"status": "done", "exit_status": 0, "document": json.dumps(document)}
         rows.append(row)
     return rows
-
-
-def write_results(out: Path, rows: Iterable[dict[str, Any]]) -> None:
-    """Write a map to the folder of each row that is done."""
-    rng = np.random.default_rng(1)
-    for row in rows:
-        if row["status"] != "done":
-            continue
-        folder = out / row["folder"]
-        folder.mkdir(parents=True)
-        cells = np.full((300, 260), 205, np.uint8)
-        cells[40:-40, 30:-30] = 254
-        for _ in range(12):
-            top, left = rng.integers(40, 200), rng.integers(30, 180)
-            cells[top : top + 50, left : left + 2] = 0
-            cells[top : top + 2, left : left + 40] = 0
-        Image.fromarray(cells).convert("RGB").save(folder / "map.png")

@@ -23,7 +23,6 @@ class PageClient:
         self.reported: list[dict[str, Any]] = []
         self.tiles: dict[tuple[int, int], np.ndarray] = {}
         self.path, self.series = np.zeros((0, 2), np.float32), np.zeros((0, 5), np.float32)
-        self.selected = np.zeros((0, 2), np.float32)
         self.arrays: dict[str, np.ndarray] = {}
         self.messages = self.bytes = 0
         self.more = False
@@ -43,8 +42,6 @@ class PageClient:
             self.tiles.update(zip(map(tuple, arrays["tiles_at"].tolist()), unpack_tiles(arrays["tiles"]), strict=True))
         if "path" in arrays:
             self.path = np.concatenate([self.path[: header["path"]], arrays["path"]])
-        if "selected" in arrays:
-            self.selected = np.concatenate([self.selected[: header["selected"]], arrays["selected"]])
         if "series" in arrays:
             self.series = np.concatenate([self.series[: header["series"]], arrays["series"]])
         self.arrays.update(arrays)

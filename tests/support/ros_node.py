@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import threading
 import time
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator
+from typing import Any
 
 import numpy as np
 
 from gridslam.errors import ConfigurationError
 from gridslam.io.bags.encoder import MessageEncoder
-from gridslam.io.bags.ros_messages import MessageError, Wire
+from gridslam.io.bags.ros_messages import Wire, wire_of_cdr
 from gridslam.io.measurement import Measurement
 from gridslam.ros import NodeCore
 from gridslam.ros.node.messages import (
@@ -81,14 +82,13 @@ class LocalTransport:
     """A transport without a network: `RosNode` runs on it, and `play` reaches its core."""
 
     global_localization = "global_localization"
-    gives_empty_map = True
     encoder = MessageEncoder(is_ros1=False)
 
     def __init__(self) -> None:
         self.outputs = RecordedOutputs()
         self.shut_down = threading.Event()
-        self.outage = ""
-        self.services: dict[str, Callable[[object], Sequence[object]]] = {}
+        self.services: dict[str, Callable[[object], Any]] = {}
+        self.handlers: dict[str, Callable[[bytes, str], None]] = {}
 
     def connect(self, refuse: Callable[[str, str], None], topics: dict[str, str]) -> None:
         self.refuse = refuse
@@ -96,15 +96,15 @@ class LocalTransport:
         self.outputs.topics = tuple(topics)
 
     def wire_of(self, data: bytes) -> Wire:
-        raise MessageError("no bytes pass here")
+        return wire_of_cdr(data)
 
     def resolve(self, topic: str) -> str:
         return f"/{topic}"
 
-    def subscribe(self, topic: str, kind: str, handle: object, **qos: object) -> None:
-        pass
+    def subscribe(self, topic: str, kind: str, handle: Callable[[bytes, str], None], **qos: object) -> None:
+        self.handlers[topic] = handle
 
-    def advertise(self, service: str, kind: str, serve: Callable[[object], Sequence[object]], **options: bool) -> None:
+    def advertise(self, service: str, kind: str, serve: Callable[[object], Any], **options: bool) -> None:
         if kind.startswith("slam_toolbox/"):
             raise ConfigurationError("its types are not installed")
         self.services[service] = serve
@@ -112,9 +112,9 @@ class LocalTransport:
     def advertise_parameters(self, values: object, change: object, settable: object) -> None:
         self.parameters = values
 
-    def spin(self, ended: threading.Event) -> Iterator[str]:
+    def spin(self, ended: threading.Event) -> Iterator[None]:
         while not self.shut_down.is_set() and not ended.wait(0.01):
-            yield self.outage
+            yield
 
     def close(self) -> None:
         self.shut_down.set()

@@ -1,4 +1,4 @@
-"""The executable `ros2 run gridslam_ros node`: the command `gridslam ros2` by rclpy."""
+"""The executable `ros2 run gridslam_ros node`: the command `gridslam ros2`."""
 
 import sys
 
@@ -9,7 +9,7 @@ def main() -> None:
         from gridslam.cli.main import main as command
     except ImportError as error:
         sys.exit(f"gridslam is not installed for {sys.executable} ({error}): see docs/ros.md of gridslam")
-    sys.argv = ["gridslam", "ros2", "--transport", "rclpy", *sys.argv[1:]]
+    sys.argv = ["gridslam", "ros2", *sys.argv[1:]]
     command()
 
 

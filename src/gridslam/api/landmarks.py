@@ -27,7 +27,6 @@ from gridslam.models.association import (
     AMBIGUOUS,
     Association,
     KnownCorrespondence,
-    LandmarkExistence,
     MaximumLikelihood,
 )
 from gridslam.models.landmark import (
@@ -37,19 +36,14 @@ from gridslam.models.landmark import (
     ObservationKind,
     RangeBearing,
     RelativePosition,
-    with_durations,
 )
 from gridslam.models.motion import DiffusionMotion
-from gridslam.models.systematic_errors import NO_ERRORS, SystematicErrors
 from gridslam.pipeline import Stopwatch
-from gridslam.slam.landmarks.batch_association import BatchAssociation
-from gridslam.slam.landmarks.calibrated import FastSlam2WithCalibration
 from gridslam.slam.landmarks.ekf_slam import EkfSlam
 from gridslam.slam.landmarks.fastslam1 import FastSlam1
 from gridslam.slam.landmarks.fastslam2 import FastSlam2
 from gridslam.slam.landmarks.filters import LandmarkFilters
 from gridslam.slam.landmarks.graph_slam import LandmarkGraphSlam
-from gridslam.slam.landmarks.particles import smooth_trajectory
 from gridslam.slam.landmarks.report import LandmarkMap, LandmarkReport
 from gridslam.slam.pose_graph.graph_slam import GraphSlam
 from gridslam.slam.pose_graph.robust import CauchyEstimator
@@ -65,12 +59,14 @@ METHODS: tuple[LandmarkMethod, ...] = "ekf", "fastslam1", "fastslam2", "graph"
 PARTICLES = {"fastslam1": 100, "fastslam2": 20}
 """Default number of particles of the methods that use particles."""
 
-_OUTLIER_WEIGHT = 0.1  # an observation of a smaller weight is regarded as an outlier
-_NO_GATE = KnownCorrespondence(gate=1e6)
-"""No observation is rejected, not even at the closure of a loop of kilometres that no particle has closed."""
-_WIDE_GATE = KnownCorrespondence(gate=50.0)
-"""7 standard deviations: once in 10^11 for a true one by a filter that knows how its odometry errs, loops included."""
+_PARTICLES_UNKNOWN = 200
+"""The same with unknown correspondences, of which each particle holds others.
 
+After an interval without observations the first one may be of any of several landmarks in any of several directions,
+and some particles must be right: of MRCLAM's intervals of 30 s, in a room of 15 barcodes, 20 seldom survive all.
+"""
+
+_OUTLIER_WEIGHT = 0.1  # an observation of a smaller weight is regarded as an outlier
 SENSORS: Final[dict[ObservationKind, LandmarkModel]] = {
     ObservationKind.RANGE_BEARING: RangeBearing(),
     ObservationKind.DEPTH_BEARING: DepthBearing(),
@@ -78,42 +74,14 @@ SENSORS: Final[dict[ObservationKind, LandmarkModel]] = {
 }
 """Measurement model of each observation type."""
 
-_RELATIVE: Final = DepthBearing(sigma_bearing_rad=0.0045)
-"""The same for data association: the common error of the bearings of a time is part of the pose then.
-
-Measured on MRCLAM 6, robots 1 and 3, against the truth: differences of two bearings of one time vary by 0.006 rad.
-"""
-
-_WIDE_SENSOR: Final = DepthBearing(sigma_bearing_rad=0.015)
-"""The same for a filter that knows no systematic errors."""
-
-_WIDE_MOTION: Final = DiffusionMotion(sigma_xy_m=0.06, sigma_theta_rad=0.12)
-"""Errors of MRCLAM's commands for a filter that knows no systematic errors: measured over the 30 intervals of 4 s and
-more without observations, the NEES with `MOTION` is 13 instead of 3.
-"""
-
-_SMOOTH_MOTION: Final = DiffusionMotion(sigma_xy_m=0.03, sigma_theta_rad=0.03)
-"""The same when correspondences are revised, for steps of a quarter of a second: the sum of a long interval's
-errors would let each pose follow a wrong correspondence by itself, by the 45 mrad between two barcodes at 4 m.
-"""
-
-_PATIENT: Final = LandmarkExistence(detection=0.1, log_odds_confirmed=3.0)
-"""Existence for data association: the filter keeps a barcode that is hidden or turned away for a minute.
-
-What is none is left out when the correspondences are revised.
-"""
-
 MOTION: Final = DiffusionMotion(sigma_xy_m=0.05, sigma_theta_rad=0.08)
 """Errors of MRCLAM's commands per metre or radian; logs with covariances do not need it."""
 
-COMMANDS: Final = SystematicErrors(
-    sigma_per_m=0.05, sigma_per_rad=0.05, sigma_odometry_scale=0.05, sigma_mounting_m=0.05, sigma_range_scale=0.03
-)
-"""Systematic errors of a log without covariances: commands instead of odometry, and a camera instead of a laser.
+_MEMORY = 4.0
+"""Factor on the covariances of a log's increments, for filters: these errors have a memory, which noise has not.
 
-A controller holds the speed of a wheel to about a percent, and two wheels 0.26 m apart of which one is 1.3 % faster
-turn by 0.05 rad per metre; tread and tyres make the rest. A monocular camera's depths are as good as its focal
-length and the height of a printed mark: some percent.
+In Victoria Park the headings err by two to three times what the file states, and without it FastSLAM 2.0 rejects most
+observations there. GraphSLAM corrects the past and does not need it.
 """
 
 
@@ -123,12 +91,11 @@ class LandmarkEstimate(NamedTuple):
     Attributes
     ----------
     poses : (T, 3) float64
-        After each step: smoothed, by all methods except EKF SLAM, which marginalizes the past.
+        After each step: of the best particle's path, of the graph, or online by EKF SLAM, which marginalizes the past.
     online : (T, 3) float64 or None
         Online estimates, by filters.
     covariances : (T, 3, 3) float64
-        Of the poses: of the filter by EKF SLAM, of the final solution by the graph; by FastSLAM of the difference of
-        two paths that are drawn from the posterior, of which one is the true one.
+        Of the poses: of the filter's, or of the final solution by the graph.
     landmarks : LandmarkMap
     outliers : int
         Number of outlier observations.
@@ -343,7 +310,7 @@ def map_landmarks(
     motion : MotionModel, optional
         For a log without odometry covariances; if not given, one for MRCLAM's commands.
     particles : int, optional
-        Of FastSLAM; if not given 100 for 1.0 and 20 for 2.0.
+        Of FastSLAM; if not given 100 for 1.0 and 20 for 2.0, and 200 with unknown correspondences.
     seed : int, >= 0
         Of FastSLAM; the same gives identical results.
     on_progress : callable
@@ -367,43 +334,38 @@ def map_landmarks(
         raise ArgumentError("unknown", "False for the graph, which needs known correspondences", unknown)
     watch = stopwatch or Stopwatch()
     source = open_landmark_log_if_path(log)
-    if particles is None and method in PARTICLES:
-        particles = PARTICLES[method]
+    if particles is None:
+        particles = _PARTICLES_UNKNOWN if unknown and method in PARTICLES else PARTICLES.get(method)
     model = sensor or SENSORS[source.kind]
     motion = motion or MOTION
     watch.lap("start")
-    steps = list(with_durations(source))
+    steps = list(source)
     watch.lap("read")
-    models: dict[str, Any] = {"sensor": model, "motion": motion}
-    # only where a log contains its noise its correspondences are trusted without a gate
     has_noise = all(step.covariance is not None for step in steps)
-    association: Association = KnownCorrespondence()
-    if unknown:
-        steps = _associate(steps, model, motion, has_noise, np.random.default_rng(seed), on_progress)
-    elif has_noise:
-        association = _WIDE_GATE if method == "ekf" else _NO_GATE
+    association: Association = MaximumLikelihood() if unknown else KnownCorrespondence()
     if method == "graph":
-        graph = _graph(model, has_noise)
-        models["bias"] = graph.bias
-        estimate = _solve_graph(steps, graph, motion)
-    elif method == "ekf":
-        models["bias"] = bias = SystematicErrors() if has_noise else COMMANDS
-        estimate = _run_ekf(steps, EkfSlam(model, association, bias=bias), motion, on_progress)
+        robust = None if has_noise else CauchyEstimator()  # else observations may be false
+        estimate = _solve_graph(steps, LandmarkGraphSlam(model, GraphSlam(first_guess="given", robust=robust)), motion)
     else:
-        filters = LandmarkFilters(model, association)
-        bias = NO_ERRORS if method == "fastslam1" else SystematicErrors() if has_noise else COMMANDS
-        slam: FastSlam1 | FastSlam2 = FastSlam1(filters)
-        if method == "fastslam2":
-            models["bias"] = bias
-            slam = FastSlam2WithCalibration(filters, bias=bias)
-        estimate = _run_particle_filter(steps, slam, bias, particles or 0, seed, motion, on_progress)
-        estimate = _spread_of_draw(estimate, steps, model, motion, has_noise)
+        steps = [
+            step if step.covariance is None else replace(step, covariance=_MEMORY * step.covariance) for step in steps
+        ]
+        if unknown:
+            steps = [replace(step, observations=step.observations.drop_correspondences()) for step in steps]
+        if method == "ekf":
+            estimate = _run_ekf(steps, EkfSlam(model, association), motion, on_progress)
+        else:
+            kind = FastSlam1 if method == "fastslam1" else FastSlam2
+            rng = np.random.default_rng(seed)
+            estimate = _run_particle_filter(
+                steps, kind(LandmarkFilters(model, association)), particles or 0, rng, motion, on_progress
+            )
     watch.lap("solve")
     return LandmarkResult(
         stamps_ns=np.array([step.stamp_ns for step in steps], np.int64),
         unknown=unknown,
         log=source,
-        models=models,
+        models={"sensor": model, "motion": motion},
         digest=compute_digest(source.path),
         stopwatch=watch,
         method=method,
@@ -411,24 +373,6 @@ def map_landmarks(
         particles=particles,
         seed=seed,
     )
-
-
-def _associate(
-    steps: Sequence[LandmarkStep],
-    model: LandmarkModel,
-    motion: MotionModel,
-    has_noise: bool,
-    rng: np.random.Generator,
-    on_progress: Callable[[], None],
-) -> list[LandmarkStep]:
-    """Steps with estimated correspondences."""
-    standard = model == SENSORS[ObservationKind.DEPTH_BEARING]
-    filters = LandmarkFilters(_WIDE_SENSOR if standard else model, MaximumLikelihood(), _PATIENT)
-    slam: FastSlam2 = FastSlam2WithCalibration(filters) if has_noise else FastSlam2(filters)
-    bias = SystematicErrors() if has_noise else COMMANDS
-    smoothing = _SMOOTH_MOTION if motion == MOTION else motion
-    associate = BatchAssociation(slam, _RELATIVE if standard else model, bias, smoothing)
-    return associate(steps, _WIDE_MOTION if motion == MOTION else motion, rng, on_progress)
 
 
 def _run_ekf(
@@ -440,20 +384,17 @@ def _run_ekf(
         state, report = slam.step(state, step.motion(motion), step.observations)
         reports.append(report)
         on_progress()
-    figures = {"systematic_errors": _name_errors(slam.bias, state.mean[3 : state.first])}
-    return _put_together(reports, slam.landmark_map(state))._replace(figures=figures)
+    return _put_together(reports, slam.landmark_map(state))
 
 
 def _run_particle_filter(
     steps: Sequence[LandmarkStep],
     slam: FastSlam1 | FastSlam2,
-    bias: SystematicErrors,
     particles: int,
-    seed: int,
+    rng: np.random.Generator,
     motion: MotionModel,
     on_progress: Callable[[], None],
 ) -> LandmarkEstimate:
-    rng = np.random.default_rng(seed)
     state = slam.init(particles)
     reports = list[LandmarkReport]()
     for step in steps:
@@ -464,45 +405,8 @@ def _run_particle_filter(
         "n_eff_mean": float(np.mean([report.n_eff for report in reports])),
         "resamplings": sum(report.parents is not None for report in reports),
     }
-    poses = smooth_trajectory(state, state.best, [step.motion(motion) for step in steps], bias)[1:]
     found = _put_together(reports, slam.landmark_map(state))
-    return found._replace(poses=poses, figures=figures)
-
-
-def _name_errors(bias: SystematicErrors, errors: FloatArray) -> dict[str, float]:
-    return dict(zip(bias.names, errors.tolist(), strict=True))
-
-
-def _spread_of_draw(
-    estimate: LandmarkEstimate,
-    steps: Sequence[LandmarkStep],
-    sensor: LandmarkModel,
-    motion: MotionModel,
-    has_noise: bool,
-) -> LandmarkEstimate:
-    """Return covariances of the full path and the landmarks of a particle filter.
-
-    All particles share one past after some resamplings, so their spread is far below the error. The path of a particle
-    is a draw from p(x_1:t | z_1:t, u_1:t), and so is the truth: they differ by twice the covariance of the posterior,
-    which is that of GraphSLAM (Laplace's approximation).
-
-    References
-    ----------
-    T. Bailey, J. Nieto, E. Nebot, Consistency of the FastSLAM algorithm, ICRA 2006 (the spread of the particles).
-    """
-    posterior = _graph(sensor, has_noise).solve(steps, motion)
-    place = {name: k for k, name in enumerate(posterior.landmarks.names.tolist())}
-    found = estimate.landmarks
-    columns = [place[name] for name in found.names.tolist()]
-    landmarks = replace(found, covariances=2 * posterior.landmarks.covariances[columns])
-    return estimate._replace(covariances=2 * posterior.covariances, landmarks=landmarks)
-
-
-def _graph(sensor: LandmarkModel, has_noise: bool) -> LandmarkGraphSlam:
-    """GraphSLAM for a log; where it does not contain its noise, errors are systematic and observations may be false."""
-    robust = None if has_noise else CauchyEstimator()
-    bias = NO_ERRORS if has_noise else COMMANDS
-    return LandmarkGraphSlam(sensor, GraphSlam(first_guess="given", robust=robust), bias=bias)
+    return found._replace(poses=state.ancestry.trajectory(state.best)[1:], figures=figures)
 
 
 def _put_together(reports: Sequence[LandmarkReport], landmarks: LandmarkMap) -> LandmarkEstimate:
@@ -516,7 +420,6 @@ def _put_together(reports: Sequence[LandmarkReport], landmarks: LandmarkMap) -> 
 def _solve_graph(steps: Sequence[LandmarkStep], slam: LandmarkGraphSlam, motion: MotionModel) -> LandmarkEstimate:
     found = slam.solve(steps, motion)
     figures = {
-        "systematic_errors": _name_errors(slam.bias, found.systematic_errors),
         "chi2": found.solution.chi2_after,
         "degrees_of_freedom": found.degrees_of_freedom,
         "converged": found.solution.converged,

@@ -403,7 +403,6 @@ class MapResult(Result):
             },
             "selected": loops.selected,
             "sharpness_m": loops.sharpness_m,
-            "laser_errors": loops.laser_errors and asdict(loops.laser_errors),
         }
 
 

@@ -1,17 +1,12 @@
-"""Run a job in a child process, and return a row with its outcome.
-
-Children come from a server of the standard library that has imported gridslam (forkserver of `multiprocessing`), so
-that they begin in milliseconds; each has one job, and ends with the batch.
-"""
+"""Run a job in a process of its own, which ends with the batch, and return a row with its outcome."""
 
 from __future__ import annotations
 
-import faulthandler
 import importlib
 import json
-import multiprocessing
 import os
 import signal
+import subprocess
 import sys
 import tempfile
 import threading
@@ -20,33 +15,19 @@ import traceback
 from collections.abc import Mapping
 from contextlib import suppress
 from datetime import datetime, timezone
-from multiprocessing.connection import wait
-from multiprocessing.process import BaseProcess
 from pathlib import Path
-from typing import Any
+from typing import Any, Final
 
+from gridslam.api.peak_memory import find_peak_memory_bytes
 from gridslam.batch.job import Job
 from gridslam.batch.journal import COLUMNS
 from gridslam.errors import GridslamError
 from gridslam.io.output import OutputFolder
-from gridslam.io.staging import StagingFolder
+from gridslam.io.staging import remove_abandoned
 
-_METHOD = "forkserver" if "forkserver" in multiprocessing.get_all_start_methods() else "spawn"
-_PRELOADED = [
-    "__main__",
-    "gridslam.batch.commands",
-    "gridslam.viz.picture",
-    "PIL.PngImagePlugin",
-    "scipy.sparse",
-    "qdldl",
-]
-_BLAS_THREADS = ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS")
-_LOOK_S = 0.2
-_STARTS = 20
+_ONE_THREAD: Final = dict.fromkeys(("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS"), "1")
+_LOOK_S = 0.05
 _TAIL_BYTES = 4000  # of the output of a job
-
-_children = threading.Lock()
-"""Held where a child is started or its status read: two threads that read one status would lose it."""
 
 
 def run_job(job: Job, out: Path, stopped: threading.Event, *, timeout_s: float | None = None) -> dict[str, Any]:
@@ -70,29 +51,21 @@ def run_job(job: Job, out: Path, stopped: threading.Event, *, timeout_s: float |
         status "failed", a named ``error`` and the last bytes of its output.
     """
     started = datetime.now(timezone.utc).isoformat(timespec="milliseconds")
-    folder = out / job.folder
     request = {
         "target": job.target,
         "arguments": job.arguments,
-        "out": os.fspath(folder),
+        "out": os.fspath(out / job.folder),
         "job": job.summary(),
     }
     end = _run_child(request, timeout_s, stopped)
-    row = start_row(job) | {"started": started}
-    row |= {name: end.get(name) for name in ("exit_status", "output_tail", "wall_s", "cpu_s", "peak_memory_bytes")}
+    row = start_row(job) | {"started": started} | {name: end[name] for name in COLUMNS if name in end}
     if "document" in end:
-        return row | {"status": "done", "document": end["document"]}
-    remove_partial(folder)
+        return row | {"status": "done"}
+    with suppress(OSError):
+        remove_abandoned(out)
+        remove_abandoned(out / job.folder)  # which is there where an earlier run of it has ended
     error, message = _name_failure(end, timeout_s)
     return row | {"error": error, "message": message}
-
-
-def remove_partial(folder: Path) -> None:
-    """Remove partial results that a killed process left of a job."""
-    with suppress(OSError):
-        StagingFolder(folder.parent, folder.name).remove()
-        if folder.is_dir():
-            StagingFolder(folder, folder.name).remove()
 
 
 def start_row(job: Job) -> dict[str, Any]:
@@ -102,99 +75,75 @@ def start_row(job: Job) -> dict[str, Any]:
 
 def _name_failure(end: Mapping[str, Any], timeout_s: float | None) -> tuple[str, str]:
     """Name of a child's failure, and one line about it."""
-    if end["timed_out"]:
-        return "timeout", f"killed after {timeout_s:g} s"
     if "error" in end:
         return end["error"], end["message"]
+    if end["timed_out"]:
+        return "timeout", f"killed after {timeout_s:g} s"
     code = end["exit_status"]
     if "bad_alloc" in end["output_tail"] or "MemoryError" in end["output_tail"][-200:]:
         return "out of memory", "ended without a result"
     if code < 0:
-        name = signal.Signals(-code).name if -code in set(signal.Signals) else f"signal {-code}"
+        name = signal.Signals(-code).name
         return name, f"ended by {name}" + ", as Linux ends programs where memory is short" * (code == -signal.SIGKILL)
     return "exit", f"ended with status {code} and without a result"
 
 
 def _run_child(request: Mapping[str, Any], timeout_s: float | None, stopped: threading.Event) -> dict[str, Any]:
     """Run a request in a child until it ends, its time is over or the batch is stopped; describe its end."""
-    with tempfile.TemporaryDirectory() as folder:
-        output, result = Path(folder, "output"), Path(folder, "result")
-        output.touch()
-        ended = timed_out = False
-        child = _start(request, output, result)
-        began = time.monotonic()  # the first child waits for the server
+    code = f"import sys; sys.path[:] = {sys.path!r}; from gridslam.batch.child import main; main()"
+    with tempfile.TemporaryDirectory() as folder, Path(folder, "output").open("w+b") as output:
+        result = Path(folder, "result")
+        began = time.monotonic()
+        child = subprocess.Popen(
+            [sys.executable, "-X", "faulthandler", "-c", code, str(result)],
+            stdin=subprocess.PIPE,
+            stdout=output,
+            stderr=output,
+            env=_ONE_THREAD | os.environ,
+            start_new_session=True,
+        )
+        timed_out = False
         try:
-            while not (ended := bool(wait([child.sentinel], _LOOK_S))):
+            assert child.stdin is not None
+            with suppress(BrokenPipeError):  # it has ended at once
+                child.stdin.write(json.dumps(request).encode() + b"\n")
+                child.stdin.flush()
+            while child.poll() is None and not timed_out and not stopped.wait(_LOOK_S):
                 timed_out = timeout_s is not None and time.monotonic() - began >= timeout_s
-                if timed_out or stopped.is_set():
-                    break
         finally:
-            _kill_group(child.pid, ended=ended)  # what the child may have left, too
-        wait([child.sentinel])  # one that cannot be killed yet must not stop the others
-        with _children:
-            child.join()
-        code = child.exitcode
+            _kill_group(child.pid)  # what the child may have left, too
+            child.communicate()
         return {
-            "exit_status": code,
-            "timed_out": timed_out and code != 0,
+            "exit_status": child.returncode,
+            "timed_out": timed_out,
             "wall_s": time.monotonic() - began,
-            "output_tail": output.read_bytes()[-_TAIL_BYTES:].decode("utf-8", "replace"),
-            **(json.loads(result.read_text(encoding="utf-8")) if code == 0 and result.exists() else {}),
+            "output_tail": _read_tail(output.name),
+            **(json.loads(result.read_text(encoding="utf-8")) if child.returncode == 0 and result.exists() else {}),
         }
 
 
-def _start(request: Mapping[str, Any], output: Path, result: Path) -> BaseProcess:
-    """Start the child of a request; the server that it comes from is started first where there is none."""
-    context: Any = multiprocessing.get_context(_METHOD)
-    if _METHOD == "forkserver":
-        context.set_forkserver_preload(_PRELOADED)
-    for name in _BLAS_THREADS:
-        os.environ.setdefault(name, "1")
-    for _ in range(_STARTS):
-        with _children, suppress(EOFError, ConnectionError):  # the server was killed a moment ago
-            child: BaseProcess = context.Process(target=_work, args=(request, dict(os.environ), output, result))
-            child.start()
-            return child
-        time.sleep(_LOOK_S)
-    raise ConnectionError("child processes cannot be started")
+def _read_tail(path: str) -> str:
+    return Path(path).read_bytes()[-_TAIL_BYTES:].decode("utf-8", "replace")
 
 
-def _kill_group(pid: int | None, *, ended: bool = False) -> None:
-    """Kill the group of a child and the child, which may not have made its group yet, unless it has `ended`."""
-    assert pid is not None
+def _kill_group(pid: int) -> None:
+    """Kill a child and all that it has started."""
     with suppress(ProcessLookupError, PermissionError):
-        if hasattr(os, "killpg"):
-            os.killpg(pid, signal.SIGKILL)
-    with suppress(ProcessLookupError, PermissionError):
-        if not ended:
-            os.kill(pid, getattr(signal, "SIGKILL", signal.SIGTERM))
+        os.killpg(pid, signal.SIGKILL)
 
 
-def _work(request: Mapping[str, Any], environment: dict[str, str], output: Path, result: Path) -> None:
-    """Run a request in this process, a child; write its output to one file and its outcome to another.
-
-    The environment is that of the batch now: the server keeps the one it was started with.
-    """
-    os.environ.clear()
-    os.environ.update(environment)
-    if hasattr(os, "setsid"):
-        os.setsid()
+def main() -> None:
+    """Run the request on standard input in this process, a child, and write the outcome to the file of its argument."""
+    request = json.loads(sys.stdin.readline())
     threading.Thread(target=_end_with_batch, daemon=True).start()
-    for path, flags, numbers in ((os.devnull, os.O_RDONLY, (0,)), (output, os.O_WRONLY | os.O_APPEND, (1, 2))):
-        descriptor = os.open(path, flags)
-        for number in numbers:
-            os.dup2(descriptor, number)
-    faulthandler.enable(file=2)
-    _forbid_core_files()
-    end = _execute(request) | _measure_cost()
-    result.write_text(json.dumps(end), encoding="utf-8")
+    end = _execute(request)
+    end |= {"cpu_s": time.process_time(), "peak_memory_bytes": find_peak_memory_bytes()}
+    Path(sys.argv[1]).write_text(json.dumps(end), encoding="utf-8")
 
 
 def _end_with_batch() -> None:
-    """Wait until the process of the batch has ended, and kill this child and its group."""
-    batch = multiprocessing.parent_process()
-    assert batch is not None
-    batch.join()
+    """Wait until the process of the batch has ended, which closes the pipe, and kill this child and its group."""
+    os.read(0, 1)
     _kill_group(os.getpid())
 
 
@@ -216,10 +165,9 @@ def _execute(request: Mapping[str, Any]) -> dict[str, Any]:
         return {"document": document}
     except MemoryError as error:
         return {"error": "out of memory", "message": f"memory is short: {error}".removesuffix(": ")}
-    except (GridslamError, OSError) as error:
-        return {"error": type(error).__name__, "message": " ".join(str(error).split())}
     except BaseException as error:
-        traceback.print_exception(error)
+        if not isinstance(error, GridslamError | OSError):
+            traceback.print_exception(error)
         return {"error": type(error).__name__, "message": " ".join(str(error).split())[:500] or type(error).__name__}
 
 
@@ -230,22 +178,3 @@ def _finish(request: Mapping[str, Any], document: Mapping[str, Any]) -> dict[str
         with OutputFolder(request["out"]) as out:
             out.file("run.json").write_text(json.dumps(marked, indent=2, allow_nan=False) + "\n", encoding="utf-8")
     return marked
-
-
-def _forbid_core_files() -> None:
-    """Let a process that crashes write no core file."""
-    with suppress(ImportError):  # Windows
-        import resource
-
-        resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
-
-
-def _measure_cost() -> dict[str, Any]:
-    """CPU time and peak memory of this process so far, where the system reports them."""
-    if sys.platform == "win32":
-        return {}
-    import resource
-
-    usage = resource.getrusage(resource.RUSAGE_SELF)
-    scale = 1 if sys.platform == "darwin" else 1024
-    return {"cpu_s": usage.ru_utime + usage.ru_stime, "peak_memory_bytes": usage.ru_maxrss * scale}

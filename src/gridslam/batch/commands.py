@@ -1,7 +1,4 @@
-"""The commands that a job of `gridslam batch` runs: map, doctor, localize, evaluate; arguments are a JSON object.
-
-Children are forked from a server that has imported this module, and what the commands import only when they run.
-"""
+"""The commands that a job of `gridslam batch` runs: map, doctor, localize; arguments are a JSON object."""
 
 from __future__ import annotations
 
@@ -12,20 +9,16 @@ from pathlib import Path
 from typing import Any
 
 from gridslam.api.diagnosis import check_log, describe_finding, write_diagnosis
-from gridslam.api.evaluation import evaluate_trajectory, score_against_reference
+from gridslam.api.evaluation import score_against_reference
 from gridslam.api.localization import LocalizationResult, localize
 from gridslam.api.mapping import MapResult, map_log
 from gridslam.config import Configuration
 from gridslam.config.tables import replace_parameters
 from gridslam.doctor import diagnose
-from gridslam.errors import InputError
-from gridslam.io.carmen import reader  # noqa: F401
 from gridslam.io.limits import limit_memory
 from gridslam.io.log import Log, LogOptions, open_log
 from gridslam.io.output import OutputFolder
-from gridslam.io.text import measure_size
 from gridslam.localization.monte_carlo import MonteCarloConfiguration
-from gridslam.slam.full_slam import full_slam  # noqa: F401
 
 
 def run_map(arguments: Mapping[str, Any]) -> dict[str, Any]:
@@ -34,9 +27,9 @@ def run_map(arguments: Mapping[str, Any]) -> dict[str, Any]:
     Parameters
     ----------
     arguments : mapping
-        ``log``, its path, and ``bytes``, its size then, if known; ``configuration``, a table
-        of parameters; ``seed``, ``threads``, ``repair``; ``options``, the fields of `LogOptions`; ``max_memory_bytes``;
-        ``reference``, a file of relations or a true trajectory, or None; ``out`` and ``job`` (see `Job`).
+        ``log``, its path; ``configuration``, a table of parameters; ``seed``, ``threads``, ``repair``; ``options``, the
+        fields of `LogOptions`; ``max_memory_bytes``; ``reference``, a file of relations or a true trajectory, or None;
+        ``out`` and ``job`` (see `Job`).
 
     Returns
     -------
@@ -85,19 +78,11 @@ def run_doctor(arguments: Mapping[str, Any]) -> dict[str, Any]:
         return document
 
 
-def run_evaluate(arguments: Mapping[str, Any]) -> dict[str, Any]:
-    """Score the trajectory ``log`` against ``reference`` as `gridslam evaluate` does."""
-    return evaluate_trajectory(arguments["log"], arguments["reference"], arguments["distance_m"])
-
-
 @contextmanager
 def _open_output(arguments: Mapping[str, Any], names: Sequence[str] = ()) -> Iterator[OutputFolder]:
-    """Open OUT for a job; nothing is written if its log has another size than when the job was made."""
+    """Open OUT for a job, with the memory that it may use."""
     with limit_memory(arguments["max_memory_bytes"]), OutputFolder(arguments["out"], names) as folder:
         yield folder
-        size = arguments.get("bytes")
-        if size is not None and measure_size(Path(arguments["log"])) != size:
-            raise InputError(arguments["log"], "has changed since the batch began: run the same command again")
 
 
 def _write(

@@ -8,10 +8,10 @@ import hashlib
 import io
 import os
 from collections import Counter
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any, Final, final
+from typing import Final, final
 
 from gridslam.errors import GridslamError, InputError
 from gridslam.io.remote import is_url, list_files, mask_url
@@ -22,8 +22,8 @@ COLUMNS: Final = ("log", "name", "reference")
 
 _SUFFIXES: Final = (".clf", ".log", ".carmen", ".bag", ".mcap", ".db3", ".csv")
 _PACKED: Final = (".gz", ".bz2")
-_OWN_NAMES: Final = ("runs.", "report.")
-"""Beginnings of names that OUT needs for itself."""
+_OWN_NAMES: Final = "runs."
+"""Beginning of names that OUT needs for itself."""
 _MOST_NAME_BYTES: Final = 200
 """Of a folder: file systems allow 255, and temporary folders have longer names."""
 _LARGEST_MANIFEST: Final = 1 << 28
@@ -61,7 +61,7 @@ class Entry:
     state: str | None = None
 
 
-def find_logs(patterns: Sequence[str], *, trajectories: bool = False, reference: str | None = None) -> list[Entry]:
+def find_logs(patterns: Sequence[str], *, reference: str | None = None) -> list[Entry]:
     """Find the logs of a batch and name them.
 
     A name is that of the file without suffixes; where two would be equal, the names of folders above precede it.
@@ -73,9 +73,6 @@ def find_logs(patterns: Sequence[str], *, trajectories: bool = False, reference:
         ``[...]``, ``**``), a URL (of a log, of a pattern, or a folder, with a slash at its end), or a manifest: a CSV
         with a column ``log`` and optionally ``name``, ``reference`` and options of the command. Paths in a manifest are
         relative to its folder.
-    trajectories : bool
-        Trajectories are wanted instead of logs: a folder stands for all trajectory.tum below it, each named as the
-        folder that it is in.
     reference : str, optional
         Path of the reference of each log, with ``{name}`` (its name), ``{stem}`` (its file's without suffixes) and
         ``{parent}`` (its folder's).
@@ -85,32 +82,31 @@ def find_logs(patterns: Sequence[str], *, trajectories: bool = False, reference:
     InputError
         Nothing matches a pattern, a log is listed twice, or a manifest is malformed: names file and line.
     """
-    entries = [entry for pattern in patterns for entry in _expand(pattern, trajectories)]
-    entries = _name_all(entries, trajectories)
+    entries = _name_all([entry for pattern in patterns for entry in _expand(pattern)])
     if reference is None:
         return entries
     return [entry if entry.reference else replace(entry, reference=_refer(reference, entry)) for entry in entries]
 
 
-def _expand(pattern: str, trajectories: bool) -> Iterator[Entry]:
+def _expand(pattern: str) -> Iterator[Entry]:
     path = Path(pattern)
     if not pattern:
         raise InputError(pattern, "expected a path, got an empty string")
     if is_url(pattern):
         yield from _expand_url(pattern)
-    elif os.path.isdir(path) and (trajectories or not (path / "metadata.yaml").exists()):
-        found = list(_walk(path, trajectories))
+    elif os.path.isdir(path) and not (path / "metadata.yaml").exists():
+        found = list(_walk(path))
         if not found:
-            raise InputError(path, f"no {'trajectory.tum' if trajectories else 'logs'} in this folder")
-        yield from (_make_entry(str(file)) for file in found)
-    elif path.suffix == ".csv" and os.path.isfile(path) and not trajectories and _is_manifest(path):
+            raise InputError(path, "no logs in this folder")
+        yield from map(_make_entry, map(str, found))
+    elif path.suffix == ".csv" and _is_manifest(path):
         yield from _read_manifest(path)
     elif glob.has_magic(pattern) and not os.path.exists(path):
         names = sorted(glob.glob(pattern, recursive=True))
         if not names:
             raise InputError(pattern, "nothing matches this pattern")
         for name in names:
-            yield from _expand(name, trajectories)
+            yield from _expand(name)
     else:  # one that is absent, or has an impossible name, is a row with an error
         yield _make_entry(pattern)
 
@@ -132,16 +128,16 @@ def _expand_url(pattern: str) -> Iterator[Entry]:
     yield from (Entry(mask_url(url), url, state=state) for url, state in found.items())
 
 
-def _make_entry(path: str, **values: Any) -> Entry:  # noqa: ANN401
-    return Entry(path, os.path.abspath(path), **values)
+def _make_entry(path: str) -> Entry:
+    return Entry(path, os.path.abspath(path))
 
 
-def _walk(folder: Path, trajectories: bool) -> Iterator[Path]:
-    """Yield the logs below a folder, by their names, or all trajectory.tum.
+def _walk(folder: Path) -> Iterator[Path]:
+    """Yield the logs below a folder, by their names.
 
     Bags that are folders are not entered; results of gridslam are no logs.
     """
-    if not trajectories and (folder / "run.json").exists():
+    if (folder / "run.json").exists():
         return
     try:
         content = sorted(folder.iterdir())
@@ -151,13 +147,10 @@ def _walk(folder: Path, trajectories: bool) -> Iterator[Path]:
     for path in content:
         if path.name.startswith("."):
             continue
-        if not path.is_dir():
-            if path.name == "trajectory.tum" if trajectories else _strip(path.name)[1] in _SUFFIXES:
-                yield path
-        elif not trajectories and (path / "metadata.yaml").exists():
+        if (path / "metadata.yaml").exists() or (not path.is_dir() and _strip(path.name)[1] in _SUFFIXES):
             yield path
-        elif path.resolve() not in path.absolute().parents:  # a link to a folder above has no end
-            yield from _walk(path, trajectories)
+        elif path.is_dir() and path.resolve() not in path.absolute().parents:  # a link to a folder above has no end
+            yield from _walk(path)
 
 
 def _strip(name: str) -> tuple[str, str]:
@@ -165,56 +158,42 @@ def _strip(name: str) -> tuple[str, str]:
     stem, suffix = os.path.splitext(name)
     if suffix in _PACKED:
         stem, suffix = os.path.splitext(stem)
-    if suffix in (*_SUFFIXES, ".tum"):
-        return stem, suffix
-    return name, ""
+    return (stem, suffix) if suffix in _SUFFIXES else (name, "")
 
 
 def _is_manifest(path: Path) -> bool:
-    """Return whether a CSV has a column log; raises InputError if it is no log either."""
+    """Return whether a CSV has a column log."""
     try:
         with path.open(encoding="utf-8-sig", errors="replace") as file:
-            header = {name.strip() for name in next(csv.reader([file.readline(1 << 16)]), [])}
-    except (OSError, csv.Error):
+            header = next(csv.reader([file.readline(1 << 16)]), [])
+    except (OSError, ValueError, csv.Error):
         return False  # its job reports it
-    if "log" in header:
-        return True
-    if header & {"stamp_s", "ranges_m"} or len(header) < 2:
-        return False  # a log, or none; its reader decides
-    raise InputError(path, "expected a manifest with a column log, or a CSV of scans with stamp_s and ranges_m", 1)
+    return "log" in map(str.strip, header)
 
 
 def _read_manifest(path: Path) -> Iterator[Entry]:
-    rows = csv.reader(io.StringIO(read_text(path, _LARGEST_MANIFEST).removeprefix("\ufeff"), newline=""), strict=True)
+    text = read_text(path, _LARGEST_MANIFEST).removeprefix("\ufeff")
+    rows = csv.DictReader(io.StringIO(text, newline=""), strict=True, skipinitialspace=True)
     try:
-        columns = [name.strip() for name in next(rows)]
-        twice = [name for name, count in Counter(columns).items() if count > 1]
-        if twice or "" in columns:
-            raise InputError(
-                path, f"expected columns with different names, got {twice[0] if twice else 'an empty one'!r}", 1
-            )
-        lines = [(rows.line_num, cells) for cells in rows if any(cell.strip() for cell in cells)]
+        lines = [(rows.line_num, cells) for cells in rows]
     except csv.Error as error:
-        raise InputError(path, f"expected a CSV: {error}", rows.line_num) from None
+        raise InputError(path, f"expected a CSV: {error}", rows.reader.line_num) from None
     if not lines:
         raise InputError(path, "the manifest lists no logs")
     for line, cells in lines:
-        if len(cells) != len(columns):
-            raise InputError(path, f"expected {len(columns)} cells, got {len(cells)}", line)
-        yield _read_line(path, line, {name: cell.strip() for name, cell in zip(columns, cells, strict=True)})
+        if None in cells or None in cells.values():
+            raise InputError(path, f"expected {len(rows.fieldnames or ())} cells", line)
+        yield _read_line(path, line, {name.strip(): cell.strip() for name, cell in cells.items() if cell.strip()})
 
 
-def _read_line(path: Path, line: int, cells: Mapping[str, str]) -> Entry:
-    given = {name: cell for name, cell in cells.items() if cell}
+def _read_line(path: Path, line: int, given: dict[str, str]) -> Entry:
     if "log" not in given:
         raise InputError(path, "expected a path in the column log, got an empty cell", line)
     log = given.pop("log")
     name = given.pop("name", "")
-    if name.startswith((".", *_OWN_NAMES)) or {"/", "\\", "\0"} & set(name):
-        raise InputError(path, f"expected the name of a folder in the column name, got {name!r}", line)
-    if len(name.encode()) > _MOST_NAME_BYTES:
+    if name.startswith((".", _OWN_NAMES)) or {"/", "\\", "\0"} & set(name) or len(name.encode()) > _MOST_NAME_BYTES:
         expected = f"expected the name of a folder in the column name, of at most {_MOST_NAME_BYTES} bytes"
-        raise InputError(path, f"{expected}, got {len(name.encode())}", line)
+        raise InputError(path, f"{expected}, got {name!r}", line)
     reference = given.pop("reference", None)
     return Entry(
         mask_url(log),
@@ -226,43 +205,33 @@ def _read_line(path: Path, line: int, cells: Mapping[str, str]) -> Entry:
     )
 
 
-def _name_all(entries: Sequence[Entry], trajectories: bool) -> list[Entry]:
+def _name_all(entries: Sequence[Entry]) -> list[Entry]:
     """Name those without a name; where names would be equal, all of them get longer ones."""
-    candidates = [[entry.name] if entry.name else _list_names(_find_path(entry), trajectories) for entry in entries]
-    levels = [0] * len(entries)
+    candidates = [[entry.name] if entry.name else _list_names(entry) for entry in entries]
     while True:
-        names = [names[level] for names, level in zip(candidates, levels, strict=True)]
-        counts = Counter(name.casefold() for name in names)
-        clashing = [k for k, name in enumerate(names) if counts[name.casefold()] > 1]
+        counts = Counter(names[0].casefold() for names in candidates)
+        clashing = [names for names in candidates if counts[names[0].casefold()] > 1]
+        longer = [names for names in clashing if len(names) > 1]
+        if clashing and not longer:
+            k = max(k for k, names in enumerate(candidates) if names in clashing)
+            where = f"{entries[k].where}: " if entries[k].where else ""
+            problem = "this log or its name is given twice; a column name in a manifest distinguishes logs"
+            raise InputError(entries[k].log, f"{where}{problem}")
         if not clashing:
-            return [replace(entry, name=name) for entry, name in zip(entries, names, strict=True)]
-        longer = [k for k in clashing if levels[k] + 1 < len(candidates[k])]
-        if not longer:
-            entry = entries[clashing[-1]]
-            where = f"{entry.where}: " if entry.where else ""
-            problem = f"the name {names[clashing[-1]]!r}" if entry.name else "this log"
-            raise InputError(
-                entry.log, f"{where}{problem} is given twice; a column name in a manifest distinguishes them"
-            )
-        for k in longer:
-            levels[k] += 1
+            return [replace(entry, name=names[0]) for entry, names in zip(entries, candidates, strict=True)]
+        for names in longer:
+            del names[0]
 
 
-def _find_path(entry: Entry) -> str:
-    """Return path of a log, of a URL without its query."""
-    return entry.log.partition("?")[0] if is_url(entry.path) else entry.path
-
-
-def _list_names(path: str, trajectories: bool) -> list[str]:
-    """Possible names of a log, from the shortest on."""
+def _list_names(entry: Entry) -> list[str]:
+    """Possible names of a log, from the shortest on; a URL has no query in them."""
+    path = entry.log.partition("?")[0] if is_url(entry.path) else entry.path
     parts = [part for part in path.replace("\\", "/").split("/") if part and not part.endswith(":")]
-    stem = _strip(parts[-1])[0].lstrip(".") or "log"
-    if trajectories and stem == "trajectory" and len(parts) > 1:
-        parts.pop()
-        stem = parts[-1].lstrip(".") or "log"
-    above = parts[-2::-1]
-    prefixes = ["_".join(reversed(above[: k + 1])) for k in range(len(above))]
-    names = [stem, *(f"{prefix}_{last}".lstrip(".") for prefix in prefixes for last in (stem, parts[-1]))]
+    *above, last = parts or ["log"]
+    stem = _strip(last)[0].lstrip(".") or "log"
+    names = [stem]
+    for k in range(len(above) - 1, -1, -1):
+        names += ["_".join([*above[k:], end]).lstrip(".") for end in (stem, last)]
     return [_shorten(f"log_{name}" if name.startswith(_OWN_NAMES) else name, path) for name in names]
 
 

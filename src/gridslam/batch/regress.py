@@ -4,18 +4,17 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Iterable, Mapping
+from collections import defaultdict
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any, Final, final
 
-import numpy as np
-
-from gridslam.batch.runs import Run, read_runs
+from gridslam.batch.journal import read_rows
 from gridslam.errors import InputError
 from gridslam.evaluation.regression import LEAST_PAIRS, Change, find_changes
 
-REGRESSION_SCHEMA: Final = "gridslam.regression/1"
+REGRESSION_SCHEMA: Final = "gridslam.regression/2"
 
 ALL_LOGS: Final = "all logs"
 """Name of the group of all pairs."""
@@ -30,6 +29,13 @@ FIGURES: Final = {
 """Figures that are compared, and their labels."""
 
 _COSTS = ("cpu_s", "peak_memory_bytes")
+_SCORES: Final = {
+    "error_m": (("evaluation", "relations", "trans_mean_m"), ("evaluation", "ate", "trans_rmse_m")),
+    "error_rad": (("evaluation", "relations", "rot_mean_deg"), ("evaluation", "ate", "rot_rmse_deg")),
+    "worst_m": (("evaluation", "relations", "trans_max_m"), ("evaluation", "ate", "trans_max_m")),
+    "sharpness_m": (("loop_closure", "sharpness_m"),),
+}
+"""Where `run.json` has each figure: of relations the means, of a true trajectory the root mean squares."""
 _SEEDED = re.compile(r"(.+)-seed(\d+)")
 
 
@@ -40,27 +46,27 @@ class Regression:
 
     Attributes
     ----------
-    old, new : Path
+    old, new : str
         Their output folders.
     level : float
         Probability of any false alarm.
-    changes : tuple of Change
-        Of each log and figure, and of all logs together.
     pairs : int
         Runs that are in both.
-    unpaired : dict of str to tuple of str
+    unpaired : dict of str to list of str
         Folders of runs that are in one alone, by "old" and "new".
-    failed : dict of str to tuple of str
+    failed : dict of str to list of str
         Folders of runs that failed, of those that are in both.
+    changes : list of Change
+        Of each log and figure, and of all logs together.
     """
 
-    old: Path
-    new: Path
+    old: str
+    new: str
     level: float
-    changes: tuple[Change, ...]
     pairs: int
-    unpaired: dict[str, tuple[str, ...]]
-    failed: dict[str, tuple[str, ...]]
+    unpaired: dict[str, list[str]]
+    failed: dict[str, list[str]]
+    changes: list[Change]
 
     @property
     def worse(self) -> list[Change]:
@@ -74,32 +80,22 @@ class Regression:
 
     def document(self) -> dict[str, Any]:
         """Return the comparison as JSON values."""
-        return {
-            "schema": REGRESSION_SCHEMA,
-            "old": str(self.old),
-            "new": str(self.new),
-            "level": self.level,
-            "pairs": self.pairs,
-            "unpaired": self.unpaired,
-            "failed": self.failed,
-            "worse": [_describe(change) for change in self.worse],
-            "better": [_describe(change) for change in self.better],
-            "changes": [_describe(change) | asdict(change) for change in self.changes],
-        }
+        sentences = {"worse": [*map(_describe, self.worse)], "better": [*map(_describe, self.better)]}
+        return {"schema": REGRESSION_SCHEMA, **asdict(self), **sentences}
 
     def lines(self) -> list[str]:
         """Return the comparison in sentences: first the verdict."""
-        worse, better = self.worse, self.better
+        worse = self.worse
         verdict = f"worse in {len(worse)} of {len(self.changes)} figures" if worse else "nothing is worse beyond noise"
         lines = [f"{verdict} ({self.pairs} pairs; at most {self.level:.0%} false alarms)"]
-        for name, changes, p in (("worse", worse, "p_worse"), ("better", better, "p_better")):
-            for change in changes:
-                lines.append(f"{name}: {_sentence(change)} ({change.pairs} pairs, p = {getattr(change, p):.2g})")
+        lines += [f"worse: {_describe(change)} ({change.pairs} pairs, p = {change.p_worse:.2g})" for change in worse]
+        lines += [
+            f"better: {_describe(change)} ({change.pairs} pairs, p = {change.p_better:.2g})" for change in self.better
+        ]
         old, new = (set(self.failed[name]) for name in ("old", "new"))
         lists = {"fails now": sorted(new - old), "fails no more": sorted(old - new)}
-        lists |= {f"only in {name}": list(folders) for name, folders in self.unpaired.items()}
-        lines += [f"{name}: {', '.join(folders)}" for name, folders in lists.items() if folders]
-        return lines
+        lists |= {f"only in {name}": folders for name, folders in self.unpaired.items()}
+        return lines + [f"{name}: {', '.join(folders)}" for name, folders in lists.items() if folders]
 
 
 def compare_batches(
@@ -127,52 +123,63 @@ def compare_batches(
     Raises
     ------
     InputError
-        One of the folders has no journal, or there are too few pairs for any change to be found.
+        One of the folders has no journal, or there are fewer than `LEAST_PAIRS` pairs.
     """
-    before, after = (_by_group(read_runs(folder)) for folder in (old, new))
-    differences: dict[str, dict[str, list[float]]] = {}
+    before, after = (_by_log(read_rows(folder)) for folder in (old, new))
+    differences: dict[tuple[str, str], list[float]] = defaultdict(list)
     failed: dict[str, list[str]] = {"old": [], "new": []}
     unpaired: dict[str, list[str]] = {"old": [], "new": []}
     count = 0
-    for group in sorted({*before, *after}):
-        pairs = _pair(before.get(group, {}), after.get(group, {}), unpaired)
-        count += len(pairs)
-        if pairs:
-            differences[group] = {name: [_difference(name, *pair) for pair in pairs] for name in FIGURES}
-        for pair in pairs:
-            for name, run in zip(failed, pair, strict=True):
-                failed[name] += [] if run.is_done else [run.row["folder"]]
-    least = max(LEAST_PAIRS, math.floor(-math.log2(level)) + 1)
-    if count < least:
-        raise InputError(
-            new, f"expected at least {least} runs that are in {old}, too, got {count}: nothing could be found"
-        )
+    for log in sorted({*before, *after}):
+        for pair in _pair(before.get(log, {}), after.get(log, {}), unpaired):
+            count += 1
+            figures = [measure(row) for row in pair]
+            for name in FIGURES:
+                difference = _difference(name, *figures)
+                differences[log, name].append(difference)
+                differences[ALL_LOGS, name].append(difference)
+            for name, row in zip(failed, pair, strict=True):
+                failed[name] += [row["folder"]] if row["status"] == "failed" else []
+    if count < LEAST_PAIRS:
+        problem = f"expected at least {LEAST_PAIRS} runs that are in {old}, too, got {count}: nothing could be found"
+        raise InputError(new, problem)
     margins = {name: math.log1p(cost_margin if name in _COSTS else error_margin) for name in FIGURES} | {"failed": 0.0}
-    changes = find_changes(differences, np.random.default_rng(0), margins=margins, together=ALL_LOGS)
-    return Regression(
-        Path(old),
-        Path(new),
-        level,
-        tuple(changes),
-        count,
-        {name: tuple(folders) for name, folders in unpaired.items()},
-        {name: tuple(folders) for name, folders in failed.items()},
-    )
+    return Regression(str(old), str(new), level, count, unpaired, failed, find_changes(differences, margins))
 
 
-def _by_group(runs: Iterable[Run]) -> dict[str, dict[str, Run]]:
-    """Runs by log, and by folder."""
-    groups: dict[str, dict[str, Run]] = {}
-    for run in runs:
-        folder = str(run.row["folder"])
-        seeded = _SEEDED.fullmatch(folder)
-        groups.setdefault(seeded[1] if seeded else folder, {})[folder] = run
-    return groups
+def measure(row: Mapping[str, Any]) -> dict[str, float]:
+    """Return the figures of a row of the journal that it has, with costs: m, rad, s, bytes."""
+    if row["status"] != "done":
+        return {"failed": 1.0}
+    found: dict[str, float | None] = {"failed": 0.0} | {name: row[name] for name in _COSTS}
+    for name, paths in _SCORES.items():
+        values = (_number(row["document"], path) for path in paths)
+        found[name] = next((value for value in values if value is not None), None)
+    if found["error_rad"] is not None:
+        found["error_rad"] = math.radians(found["error_rad"])
+    return {name: float(value) for name, value in found.items() if value is not None and math.isfinite(value)}
 
 
-def _pair(old: Mapping[str, Run], new: Mapping[str, Run], unpaired: Mapping[str, list[str]]) -> list[tuple[Run, Run]]:
+def _number(document: object, keys: Sequence[str]) -> float | None:
+    for key in keys:
+        document = document.get(key) if isinstance(document, Mapping) else None
+    return document if isinstance(document, int | float) else None
+
+
+def _by_log(rows: Iterable[dict[str, Any]]) -> dict[str, dict[str, dict[str, Any]]]:
+    """Rows by log, and by folder."""
+    logs: dict[str, dict[str, dict[str, Any]]] = defaultdict(dict)
+    for row in rows:
+        seeded = _SEEDED.fullmatch(row["folder"])
+        logs[seeded[1] if seeded else row["folder"]][row["folder"]] = row
+    return logs
+
+
+def _pair(
+    old: Mapping[str, dict[str, Any]], new: Mapping[str, dict[str, Any]], unpaired: Mapping[str, list[str]]
+) -> list[tuple[dict[str, Any], dict[str, Any]]]:
     both = [folder for folder in old if folder in new]
-    left = [sorted(folder for folder in runs if folder not in both) for runs in (old, new)]
+    left = [sorted(folder for folder in rows if folder not in both) for rows in (old, new)]
     count = min(map(len, left))
     for name, folders in zip(("old", "new"), left, strict=True):
         unpaired[name].extend(folders[count:])
@@ -180,29 +187,18 @@ def _pair(old: Mapping[str, Run], new: Mapping[str, Run], unpaired: Mapping[str,
     return [(old[a], new[b]) for a, b in pairs]
 
 
-def _difference(name: str, old: Run, new: Run) -> float:
+def _difference(name: str, old: Mapping[str, float], new: Mapping[str, float]) -> float:
     """Return the logarithm of the ratio new / old, or the difference for failures; NaN where a value is missing."""
     if name == "failed":
-        return float(old.is_done) - float(new.is_done)
-    a, b = (_figure(name, run) for run in (old, new))
+        return new[name] - old[name]
+    a, b = old.get(name, math.nan), new.get(name, math.nan)
     if a == b == 0:
         return 0.0
     return math.log(b / a) if a > 0 and b > 0 else math.nan
 
 
-def _figure(name: str, run: Run) -> float:
-    if not run.is_done:
-        return math.nan
-    value = run.row[name] if name in _COSTS else run.figures.get(name)
-    return math.nan if value is None else float(value)
-
-
-def _describe(change: Change) -> dict[str, Any]:
-    return {"log": change.group, "figure": change.figure, "sentence": _sentence(change)}
-
-
-def _sentence(change: Change) -> str:
+def _describe(change: Change) -> str:
     name = FIGURES[change.figure]
     if change.figure == "failed":
-        return f"{change.group}: {name} {change.mean:+.0%} of the runs"
-    return f"{change.group}: {name} {math.expm1(change.mean):+.1%}"
+        return f"{change.log}: {name} {change.mean:+.0%} of the runs"
+    return f"{change.log}: {name} {math.expm1(change.mean):+.1%}"

@@ -4,23 +4,23 @@ from __future__ import annotations
 
 import json
 import os
-import time
+from collections import Counter
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
+from functools import cache, partial
 from pathlib import Path
-from typing import Any, Final, Literal, final
+from typing import Any, Literal, final
 
 import click
 
 from gridslam.api.amcl import AmclParameters
 from gridslam.batch.engine import MOST_WORKERS, run_jobs
 from gridslam.batch.job import Job, compute_key
-from gridslam.batch.journal import Journal, describe_file
+from gridslam.batch.journal import JOURNAL, Journal
 from gridslam.batch.manifest import COLUMNS, Entry, find_logs
-from gridslam.batch.report import REPORT, write_report
 from gridslam.cli.localize import read_parameters
-from gridslam.cli.options import MapOptions, evaluate_options, localize_options, log_options, map_options
-from gridslam.cli.output import counted, open_display, warn, write_apart
+from gridslam.cli.options import MapOptions, localize_options, log_options, map_options
+from gridslam.cli.output import counted, open_display, warn
 from gridslam.config.tables import suggest_names
 from gridslam.errors import ConfigurationError, GridslamError, InputError, OutputError
 from gridslam.io.limits import max_memory_bytes
@@ -50,29 +50,39 @@ def run_batch(
 ) -> int:
     """Run a command over many logs; returns the exit status."""
     make = _Maker(command, words)
-    entries = find_logs(logs, trajectories=command == "evaluate", reference=reference)
+    entries = find_logs(logs, reference=reference)
     prepared = [make.prepare(entry) for entry in entries]
     require_journal(out)
     jobs = _make_jobs(command, entries, prepared)
-    sizes = {job.folder: max(1, job.arguments["bytes"] or 0) for job in jobs}
-    jobs.sort(key=lambda job: -sizes[job.folder])  # the largest first: the last one is waited for alone
-    progress = _Progress(sizes, as_json)
+    jobs.sort(key=lambda job: -_measure(job.arguments["log"]))  # the largest first: the last one is waited for alone
+    counts: Counter[str] = Counter()
+
+    def describe(passed_s: float) -> tuple[float, str]:
+        ended = counts["done"] + counts["failed"]
+        left = describe_duration(round(passed_s * (len(jobs) - ended) / ended))
+        return ended / len(jobs), f"{ended} of {len(jobs)} logs{_failed(counts)}, {left} left"
+
     with open_display(not as_json) as display:
-        rows = run_jobs(
-            jobs,
-            out,
-            workers=workers or _count_processors(),
-            timeout_s=timeout_s,
-            on_row=progress.on_row,
-            on_poll=lambda: display(progress.describe),
-        )
-    failed = sum(row["status"] == "failed" for row in rows)
-    with write_apart() as write:
-        is_written = write(write_report, out)
-        if not as_json:
-            report = [f"report: {out / REPORT}"] if is_written else []
-            click.echo("\n".join([*progress.summarize(out), *report]))
-    return 1 if failed else 0
+
+        def on_row(row: Mapping[str, Any]) -> None:
+            counts.update([row["status"]] + ["resumed"] * (row["resumed"] and row["status"] == "done"))
+            display(describe)
+            if as_json:
+                click.echo(json.dumps({name: value for name, value in row.items() if name != "document"}))
+            elif row["status"] == "failed":
+                warn(f"{row['log']}: {row['error']}: {row['message']}")
+
+        run_jobs(jobs, out, workers=workers or _count_processors(), timeout_s=timeout_s, on_row=on_row)
+        passed_s = display(describe)
+    if not as_json:
+        earlier = f" ({counts['resumed']} of them before)" if counts["resumed"] else ""
+        done = f"{counts['done']} done{earlier}{_failed(counts)}"
+        click.echo(f"{counted(len(jobs), 'log')}: {done}, in {passed_s:.1f} s\nrows: {out / JOURNAL}")
+    return 1 if counts["failed"] else 0
+
+
+def _failed(counts: Mapping[str, int]) -> str:
+    return f", {counts['failed']} failed" if counts["failed"] else ""
 
 
 def _count_processors() -> int:
@@ -109,8 +119,6 @@ class _Maker:
 
     def prepare(self, entry: Entry) -> dict[str, Any]:
         """Return the arguments for a log, except those from its bytes; raises InputError for an unknown column."""
-        if self._command == "evaluate" and entry.reference is None:
-            raise click.ClickException("evaluate needs --reference PATTERN, or a manifest with a column reference")
         if self._command == "doctor" and entry.reference is not None:
             raise click.ClickException("doctor has no use for a reference")
         words = tuple(word for name, value in entry.options.items() for word in self._to_words(entry, name, value))
@@ -190,46 +198,35 @@ def _read_doctor(options: LogOptions) -> dict[str, Any]:
     return {"options": options.to_dict()}
 
 
-@click.command("evaluate", add_help_option=False)
-@evaluate_options
-def _read_evaluate(distance_m: float) -> dict[str, Any]:
-    return {"distance_m": distance_m}
-
-
-_PARSERS = {"map": _read_map, "doctor": _read_doctor, "localize": _read_localize, "evaluate": _read_evaluate}
+_PARSERS = {"map": _read_map, "doctor": _read_doctor, "localize": _read_localize}
 
 
 def _make_jobs(command: str, entries: Sequence[Entry], prepared: Sequence[Mapping[str, Any]]) -> list[Job]:
-    references = [entry.reference for entry in entries if entry.reference]
-    images = {path: _find_image(path) for path in {arguments["map"] for arguments in prepared if "map" in arguments}}
-    sizes = {entry.path: _measure(entry.path) for entry in entries}
     listed = {entry.path: entry.state for entry in entries if entry.state is not None}
-    states = {path: _describe(path, listed) for path in {*sizes, *references, *images, *images.values()}}
+    describe = cache(partial(_describe, listed))
+    find_image = cache(_find_image)
     jobs = []
     for entry, arguments in zip(entries, prepared, strict=True):
-        used = {name: path for name, path in (("reference", entry.reference), ("map", arguments.get("map"))) if path}
-        if "map" in used:
-            used["map_image"] = images[used["map"]]
-        parameters = {name: value for name, value in arguments.items() if name != "threads"} | {
-            name: states[path] for name, path in used.items()
-        }
+        files = [entry.reference] if entry.reference else []
+        files += [arguments["map"], find_image(arguments["map"])] if "map" in arguments else []
+        parameters = {name: value for name, value in arguments.items() if name != "threads"}
+        parameters["files"] = [describe(path) for path in files]
         every = {
             "log": entry.path,
-            "bytes": sizes[entry.path],
             "reference": entry.reference,
             "max_memory_bytes": max_memory_bytes(),
             **arguments,
         }
-        key = compute_key(command, states[entry.path], parameters)
+        key = compute_key(command, describe(entry.path), parameters)
         jobs.append(Job(_TARGET.format(command), every, entry.log, entry.name, key, command))
     return jobs
 
 
-def _measure(path: str) -> int | None:
+def _measure(path: str) -> int:
     """Size of a log, if it is there and not at a URL."""
     with suppress(Exception):  # whatever is wrong with one log, its job reports it
-        return None if is_url(path) else measure_size(Path(path))
-    return None
+        return 0 if is_url(path) else measure_size(Path(path))
+    return 0
 
 
 def _find_image(path: str) -> str:
@@ -239,64 +236,14 @@ def _find_image(path: str) -> str:
     return path
 
 
-def _describe(path: str, states: Mapping[str, str]) -> str:
-    """Return size and time of modification of a file; of one at a URL as its server reports them, by `states` or now.
+def _describe(listed: Mapping[str, str], path: str) -> str:
+    """Return size and time of modification of a file, or of all in a folder; of one at a URL as its server reports it.
 
     Of one that cannot be read nothing is known, and its job reports it.
     """
     with suppress(Exception):
         if is_url(path):
-            return f"{mask_url(path)} {states.get(path) or describe_remote(path)}"
-        return describe_file(Path(path))
+            return f"{mask_url(path)} {listed.get(path) or describe_remote(path)}"
+        files = sorted(Path(path).rglob("*")) if os.path.isdir(path) else [Path(path)]
+        return " ".join(f"{file.stat().st_size} {file.stat().st_mtime_ns} {file.name}" for file in files)
     return ""
-
-
-_QUICK_S: Final = 1.0
-"""A job that fails sooner is no measure of the time that a log takes."""
-
-
-@final
-class _Progress:
-    """Shows how far a batch is: on standard error a bar and a line for each failure, or JSON on standard output."""
-
-    def __init__(self, sizes: Mapping[str, int], as_json: bool) -> None:
-        """Take the size of each log, by the folder of its job: the time that is left is estimated by it."""
-        self._total = len(sizes)
-        self._sizes = sizes
-        self._left_bytes = sum(sizes.values())
-        self._ended_bytes = 0
-        self._as_json = as_json
-        self._began = time.perf_counter()
-        self._done = self._failed = self._resumed = 0
-
-    def on_row(self, row: Mapping[str, Any]) -> None:
-        """Count a row; print it, or that its log has failed."""
-        self._done += row["status"] == "done"
-        self._failed += row["status"] == "failed"
-        self._resumed += row["resumed"] and row["status"] == "done"
-        size = self._sizes[row["folder"]]
-        self._left_bytes -= size
-        is_measured = row["status"] == "done" or (row["wall_s"] or 0.0) >= _QUICK_S
-        self._ended_bytes += size if is_measured and not row["resumed"] else 0
-        if self._as_json:
-            click.echo(json.dumps({name: value for name, value in row.items() if name != "document"}))
-        elif row["status"] == "failed":
-            warn(f"{row['log']}: {row['error']}: {row['message']}")
-
-    def describe(self, passed_s: float) -> tuple[float, str]:
-        """Return the share of the logs that have ended, and a line about them."""
-        ended = self._done + self._failed
-        left_s = round(passed_s * self._left_bytes / self._ended_bytes) if self._ended_bytes else None
-        left = "" if left_s is None else f", {describe_duration(left_s)} left"
-        failed = f", {self._failed} failed" if self._failed else ""
-        return ended / self._total, f"{ended} of {self._total} logs{failed}{left}"
-
-    def summarize(self, out: Path) -> list[str]:
-        """Format the summary."""
-        earlier = f" ({self._resumed} of them before)" if self._resumed else ""
-        failed = f", {self._failed} failed" if self._failed else ""
-        seconds = time.perf_counter() - self._began
-        return [
-            f"{counted(self._total, 'log')}: {self._done} done{earlier}{failed}, in {seconds:.1f} s",
-            f"rows: {out / 'runs.sqlite'}",
-        ]

@@ -215,12 +215,6 @@ def view(
     from gridslam.live.replay import Replay
     from gridslam.live.server import PageServer
 
-    reports = [report for report in (out / "report.html", out / "report.txt") if report.is_file()]  # batch, doctor
-    if reports and not (out / "run.json").is_file():
-        address = reports[0].resolve().as_uri()
-        click.echo(f"{out}: open {address}")
-        open_page(address, live)
-        return
     speed = 10.0 if live.speed is None else live.speed
     is_session = out.suffix == ".gridslam"
     if is_session and edit:

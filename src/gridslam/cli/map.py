@@ -19,11 +19,6 @@ from gridslam.io.log import Log, open_log
 from gridslam.live.options import LiveOptions
 from gridslam.pipeline import Stopwatch
 
-_SIGMAS = 4.0
-_SEEN_OFFSET_M = 0.005
-_SEEN_SCALE = 0.002
-"""Errors of a laser that are reported: certain, and as large as the noise of a wall that is seen many times."""
-
 
 def map_to_folder(
     log: Path,
@@ -151,21 +146,5 @@ def _summarize_loop_closure(loops: dict[str, Any] | Literal[False]) -> Iterator[
         yield f"{counted(sum(rejected.values()), 'loop-closure candidate')} rejected: {reasons}"
     if loops["sharpness_m"] is not None:
         yield f"walls seen on several visits agree within {100 * loops['sharpness_m']:.1f} cm (rms)"
-    if loops["laser_errors"]:
-        yield from _summarize_laser(**loops["laser_errors"])
     if loops["unsearched"]:
         yield f"{counted(loops['unsearched'], 'submap')} not compared with places that only a greater drift reaches"
-
-
-def _summarize_laser(
-    range_offset_m: float, range_offset_sigma_m: float, bearing_scale: float, bearing_scale_sigma: float
-) -> Iterator[str]:
-    """Format the errors of the laser that are certain and large enough to be seen."""
-    if abs(range_offset_m) > max(_SIGMAS * range_offset_sigma_m, _SEEN_OFFSET_M):
-        kind = "long" if range_offset_m > 0 else "short"
-        size = f"{1e3 * abs(range_offset_m):.1f} +- {1e3 * range_offset_sigma_m:.1f} mm"
-        yield f"the laser's ranges are {size} too {kind}"
-    if abs(bearing_scale) > max(_SIGMAS * bearing_scale_sigma, _SEEN_SCALE):
-        kind = "large" if bearing_scale > 0 else "small"
-        share = f"{100 * abs(bearing_scale):.2f} +- {100 * bearing_scale_sigma:.2f} %"
-        yield f"the angles between the laser's beams are {share} too {kind} in the log"

@@ -13,7 +13,6 @@ import click
 import numpy as np
 
 from gridslam.cli.output import counted, open_output, print_result, warn
-from gridslam.errors import ArgumentError, InputError
 from gridslam.io.edited_maps import apply_edits, check_edits, compute_image_digest
 from gridslam.io.edits import Edits, read_edits, write_edits
 from gridslam.io.maps import read_map, write_map
@@ -30,8 +29,6 @@ def mask_to_folder(
     map_path: Path,
     edits: Path,
     out: Path,
-    mode: str,
-    off_lane_percent: int,
     as_json: bool,
 ) -> None:
     """Apply edits to a map, write it and its masks to a folder and print a summary."""
@@ -45,14 +42,11 @@ def mask_to_folder(
     name = os.path.relpath(map_yaml.resolve(), out.resolve())
     drawn = replace(read, map_name=name, map_sha256=compute_image_digest(map_yaml))
     edited = apply_edits(grid, drawn)
-    try:
-        masks = _make_masks(grid, drawn, off_lane_percent)
-    except ArgumentError as error:
-        raise InputError(edits, str(error)) from None
+    masks = _make_masks(grid, drawn)
     with open_output(out, _NAMES) as folder:
         write_map(folder.file("map.yaml"), edited)
         for name, mask in masks.items():
-            write_mask(folder.file(f"{name}_mask.yaml"), mask, grid, mode)
+            write_mask(folder.file(f"{name}_mask.yaml"), mask, grid)
         if masks:
             folder.file("nav2_filters.yaml").write_text(describe_filters(masks), encoding="utf-8")
         write_edits(folder.file("edits.geojson"), drawn)
@@ -61,12 +55,13 @@ def mask_to_folder(
     print_result(document, _summarize(document, out), as_json)
 
 
-def _make_masks(grid: OccupancyGrid, edits: Edits, off_lane_percent: int) -> dict[str, Mask]:
+def _make_masks(grid: OccupancyGrid, edits: Edits) -> dict[str, Mask]:
     masks = {}
-    if edits.of("keep_out", "no_go", "lanes"):
-        masks["keepout"] = make_keepout_mask(grid, edits, off_lane_percent)
-    speed = make_speed_mask(grid, edits)
-    return masks if speed is None else masks | {"speed": speed}
+    if edits.of("keep_out", "no_go"):
+        masks["keepout"] = make_keepout_mask(grid, edits)
+    if edits.of("speed"):
+        masks["speed"] = make_speed_mask(grid, edits)
+    return masks
 
 
 def _describe(
@@ -82,7 +77,6 @@ def _describe(
         "masks": {
             name: {
                 "type": mask.kind,
-                "multiplier": mask.multiplier,
                 "area_m2": float(np.count_nonzero(mask.values)) * grid.resolution_m**2,
             }
             for name, mask in masks.items()

@@ -13,16 +13,13 @@ from gridslam.cli.options import name_option
 from gridslam.cli.output import counted, open_output, print_result, warn
 from gridslam.errors import InputError
 from gridslam.plan.alignment import Alignment, align_points
-from gridslam.plan.changes import Changes, find_changes
-from gridslam.plan.changes_files import describe_changes, write_changes_geojson, write_changes_png
-from gridslam.plan.drawing import draw_plan
-from gridslam.plan.exports import write_dxf, write_geojson
+from gridslam.plan.changes import Changes, describe_changes, find_changes, write_changes_geojson, write_changes_png
+from gridslam.plan.exports import write_dxf, write_geojson, write_svg
 from gridslam.plan.floor_plan import FloorPlan, make_plan
 from gridslam.plan.rooms import name_rooms
-from gridslam.plan.sheet import write_png, write_svg
 from gridslam.plan.source import read_source
 
-_NAMES = "plan.svg", "plan.png", "plan.dxf", "plan.geojson", "plan.json"
+_NAMES = "plan.svg", "plan.dxf", "plan.geojson", "plan.json"
 _CHANGES_NAMES = "changes.png", "changes.geojson", "changes.json"
 _LEAST_SHARE = 0.3
 """Of a map's surfaces that must lie on the other one's: two days of one building have more than half."""
@@ -33,7 +30,6 @@ def plan_to_folder(
     floor: str | None,
     out: Path,
     scale: int,
-    straighten: bool,
     as_json: bool,
 ) -> None:
     """Make a floor plan, write it to a folder and print a summary."""
@@ -44,27 +40,21 @@ def plan_to_folder(
         plan = replace(plan, rooms=name_rooms(plan.rooms, given.names))
         if not plan.walls:
             raise InputError(source, "expected a map with walls, got one without a straight surface of 0.25 m")
-        shown = plan.straighten() if straighten else plan
-        sheet = draw_plan(shown, given.name, scale)
-        write_svg(folder.file("plan.svg"), sheet)
-        write_png(folder.file("plan.png"), sheet)
-        write_dxf(folder.file("plan.dxf"), shown)
-        write_geojson(folder.file("plan.geojson"), shown, given.name)
-        document = _describe(source, shown, scale, "cells" if given.points is None else "end points")
+        write_svg(folder.file("plan.svg"), plan, given.name, scale)
+        write_dxf(folder.file("plan.dxf"), plan)
+        write_geojson(folder.file("plan.geojson"), plan, given.name)
+        document = _describe(source, plan, scale, "cells" if given.points is None else "end points")
         folder.write_json("plan.json", document)
-    print_result(document, _summarize(shown, document, out), as_json)
+    print_result(document, _summarize(plan, document, out), as_json)
 
 
 def _describe(source: Path, plan: FloorPlan, scale: int, made_from: str) -> dict[str, Any]:
-    low, high = plan.bounds.tolist()
     return {
         "schema": "gridslam.plan/1",
         "source": str(source),
         "made_from": made_from,
         "scale": scale,
-        "bounds_m": [low, high],
         "dominant_deg": float(np.rad2deg(plan.dominant_rad)),
-        "turned_deg": float(np.rad2deg(plan.turned_rad)),
         "walls": len(plan.walls),
         "walls_length_m": sum(wall.length_m for wall in plan.walls),
         "doors": [
@@ -91,7 +81,7 @@ def _summarize(plan: FloorPlan, document: dict[str, Any], out: Path) -> Iterator
     yield f"{counted(len(plan.rooms) - len(looked_into), 'room')}, {area_m2:.0f} m\u00b2" + (
         f"; {len(looked_into)} more that were only looked into, {sum(looked_into):.0f} m\u00b2" if looked_into else ""
     )
-    yield f"plan, 1:{document['scale']}: {out / 'plan.png'}, {out / 'plan.svg'}"
+    yield f"plan, 1:{document['scale']}: {out / 'plan.svg'}"
     yield f"for other programs: {out / 'plan.dxf'}, {out / 'plan.geojson'}"
 
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import importlib.util
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager, nullcontext
 from pathlib import Path
@@ -57,24 +56,14 @@ def ros1(
 def ros2(
     arguments: Sequence[str],
     *,
-    transport: str = "auto",
-    interfaces: Sequence[str] = (),
     live: LiveOptions | None = None,
     **options: Any,  # noqa: ANN401
 ) -> None:
-    """Run the ROS 2 node until it is stopped: by rclpy if a ROS 2 is sourced, otherwise by DDS itself."""
+    """Run the ROS 2 node until it is stopped."""
+    from gridslam.ros.ros2.rclpy_transport import run_rclpy
+
     viewers = make_viewer_opener("ROS 2", live)
-    shared = RunOptions(_collect_parameters(**options), viewers, stop_if_interrupted)
-    if transport == "dds" or (transport == "auto" and importlib.util.find_spec("rclpy") is None):
-        from gridslam.ros.ros2_dds.dds_transport import run_dds
-
-        run_dds(arguments, shared, interfaces)
-        return
-    if interfaces:
-        raise ConfigurationError("--interface: only without ROS; where there is one, its middleware decides")
-    from gridslam.ros.ros2_rclpy.rclpy_transport import run_rclpy
-
-    run_rclpy(arguments, shared)
+    run_rclpy(arguments, RunOptions(_collect_parameters(**options), viewers, stop_if_interrupted))
 
 
 def make_viewer_opener(title: str, live: LiveOptions | None) -> ViewerOpener:

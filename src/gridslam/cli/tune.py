@@ -6,7 +6,6 @@ import json
 import os
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -83,8 +82,10 @@ def run_tune(logs: Sequence[str], out: Path, given: MapOptions, tune: TuneOption
     with open_display(not as_json) as display:
 
         def run(jobs: Sequence[Job]) -> list[dict[str, Any]]:
-            on_poll = partial(display, lambda passed_s: _describe(tuner))
-            return run_jobs(jobs, folder, workers=tune.workers, timeout_s=tune.timeout_s, on_poll=on_poll)
+            def on_row(row: object) -> None:
+                display(lambda passed_s: _describe(tuner))
+
+            return run_jobs(jobs, folder, workers=tune.workers, timeout_s=tune.timeout_s, on_row=on_row)
 
         tuner = Tuner(settings, chosen, run)
         tuning = tuner()

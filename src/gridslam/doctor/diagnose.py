@@ -14,7 +14,6 @@ from typing import final
 from gridslam.checked import checked
 from gridslam.doctor.finding import Finding, Severity
 from gridslam.doctor.lasers import BeamStatistics, Mounting, field_of_view_rad, mounting_findings, planar_mounting
-from gridslam.doctor.mixed_scans import MixedScans
 from gridslam.doctor.motion_findings import MotionExaminer
 from gridslam.doctor.odometry import OdometryExaminer
 from gridslam.doctor.range_checks import RangeExaminer
@@ -153,7 +152,6 @@ class _Laser:
     examiner: RangeExaminer = field(default_factory=RangeExaminer)
     mounting: Mounting = field(default_factory=Mounting)
     breaks: ViewBreaks = field(default_factory=ViewBreaks)
-    mixed: MixedScans = field(default_factory=MixedScans)
 
     def take(self, measurement: Measurement) -> None:
         scan = measurement.scan
@@ -163,7 +161,6 @@ class _Laser:
         self.examiner.take(measurement)
         self.mounting.take(scan.geometry)
         self.breaks.take(measurement)
-        self.mixed.take(measurement)
 
     def facts(self) -> LaserFacts:
         beams = max(self.beams.beams, 1)
@@ -234,9 +231,7 @@ class Doctor:
         yield from self._odometry.findings()
         no_reference = {finding.sensor for finding in mounted if finding.code in _MISMOUNTED}
         no_reference |= {finding.sensor for finding in of_beams if finding.code == "single_object"}
-        mixed = [found for sensor, laser in self._lasers.items() for found in laser.mixed.findings(sensor)]
-        yield from mixed
-        no_reference |= {finding.sensor for finding in [*implausible, *mixed]}
+        no_reference |= {finding.sensor for finding in implausible}
         held_back = {finding.sensor for finding in of_limits if finding.severity is Severity.ERROR}
         for sensor in set(self._lasers) - no_reference:
             yield from self._lasers[sensor].breaks.findings(sensor)

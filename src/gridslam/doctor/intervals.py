@@ -125,9 +125,7 @@ def interpolate_odometry(motion: LaserMotion, seconds: float) -> FloatArray:
 def _hermite(times: FloatArray, values: FloatArray, at: FloatArray) -> FloatArray:
     """Cubic interpolation of values (K, D) with the slopes of the parabola through each three; NaN beyond the ends."""
     width = np.diff(times)
-    steep = np.diff(values, axis=0) / width[:, None]
-    share = (width[:-1] / (width[:-1] + width[1:]))[:, None]
-    slopes = np.concatenate([steep[:1], (1 - share) * steep[:-1] + share * steep[1:], steep[-1:]])
+    slopes = np.gradient(values, times, axis=0)
     left = np.clip(np.searchsorted(times, at, side="right") - 1, 0, len(width) - 1)
     h = width[left, None]
     u = ((at - times[left]) / width[left])[:, None]

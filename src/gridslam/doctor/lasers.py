@@ -9,21 +9,17 @@ from dataclasses import dataclass, field
 from typing import final
 
 import numpy as np
-from numpy.typing import NDArray
 
 from gridslam.doctor.finding import Finding, Severity, percent
 from gridslam.geometry.angles import wrap
-from gridslam.types import BeamStatus, FloatArray, IntArray, LaserScan, ScanGeometry
+from gridslam.types import BeamStatus, FloatArray, LaserScan, ScanGeometry
 
 _MANY_LOST = 0.1  # ratio of beams lost by ones and twos: the pose's spread grows by 5 %; healthy: some thousandths
 _LONGEST_LOSS = 3  # beams: a longer run is a surface, or nothing in reach; beams are lost by chance one by one
 _FEW_HITS = 20  # beams: fewer hardly fix x, y and heading against people and clutter
 _OFTEN = 0.1  # share of scans with few hits from which on the map has holes; and half of them leaves no map
-_ALWAYS = 0.99  # a beam that is invalid this often is blocked, it is not lost by chance
-_COUNTS_KEPT = 16  # numbers of beams for which it is counted which are lost
 
 _TILTS_RAD = math.radians(1.0)  # vibration of a stiff mount stays below it; a laser that is made to tilt does not
-_NEAR_FLOOR_M = 8.0  # a beam that meets the floor nearer than most walls are draws the floor as a wall
 _STEEP_RAD = math.radians(30.0)  # from level: what is seen is no floor plan
 _FAR_M = 5.0  # from the base: beyond any robot
 _SAME = 1e-3  # m, and rad: two lasers that are no farther apart are in one place
@@ -52,13 +48,10 @@ class BeamStatistics:
     beams: int = 0
     invalid: int = 0
     no_return: int = 0
-    not_numbers: int = 0
-    zeros: int = 0
     scattered: int = 0
     scans_without_hits: int = 0
     scans_of_one_thing: int = 0
     limits_m: tuple[float, float] = (0.0, math.inf)
-    _lost: dict[int, IntArray] = field(default_factory=dict)
 
     def take(self, scan: LaserScan) -> None:
         """Take the beams of the next scan."""
@@ -74,18 +67,9 @@ class BeamStatistics:
         self.scans_without_hits += hits < _FEW_HITS
         self.scans_of_one_thing += 0 < 2 * hits < count and scan.beams(0.0, math.inf).shows_one_thing
         self.scans += 1
-        if invalid:
-            self._note_lost(scan, lost)
-
-    def _note_lost(self, scan: LaserScan, lost: NDArray[np.bool_]) -> None:
-        readings = scan.ranges[lost]
-        self.not_numbers += int(np.count_nonzero(np.isnan(readings)))
-        self.zeros += int(np.count_nonzero(readings == 0))
         edges = np.flatnonzero(np.diff(lost, prepend=False, append=False))
         runs = edges[1::2] - edges[::2]
         self.scattered += int(runs[runs <= _LONGEST_LOSS].sum())
-        if len(scan) in self._lost or len(self._lost) < _COUNTS_KEPT:
-            self._lost[len(scan)] = self._lost.get(len(scan), 0) + lost.astype(np.int64)
 
     @property
     def usual_count(self) -> int:
@@ -127,22 +111,13 @@ class BeamStatistics:
         share = self.invalid / self.beams
         scattered = self.scattered / self.beams
         many = scattered > _MANY_LOST
-        kinds = [
-            ("not a number", self.not_numbers),
-            ("zero", self.zeros),
-            ("negative or too near", self.invalid - self.not_numbers - self.zeros),
-        ]
-        reported = ", ".join(f"{percent(count / self.beams)} {kind}" for kind, count in kinds if count)
-        message = f"{percent(share)} of the beams are invalid ({reported})"
+        message = f"{percent(share)} of the beams are invalid (no number, zero, negative or too near)"
         if many:
             message += (
                 f"; {percent(scattered)} are lost by ones and twos among good ones, as where a laser is disturbed"
             )
         elif share > _MANY_LOST:
             message += "; they lie side by side, as where nothing is in reach or the robot hides the view"
-        blocked = np.count_nonzero(self._lost.get(self.usual_count, 0) >= _ALWAYS * self.counts[self.usual_count])
-        if blocked:
-            message += f"; {blocked} of {self.usual_count} beams never measure anything"
         remedy = (
             "Clean the laser, and look for what disturbs it: sun, dark or shining surfaces, another laser, a cable."
         )
@@ -213,15 +188,6 @@ class Mounting:
         """Angle between the laser's axis and the vertical, whichever way up it is."""
         return math.acos(min(1.0, abs(float(self.geometry.base_from_laser[2, 2]))))
 
-    def floor_m(self) -> float:
-        """Least distance at which a beam meets the floor below the base; infinite where none does."""
-        mounting = self.geometry.base_from_laser
-        bearings = self.geometry.bearings
-        falls = -(mounting[2, 0] * np.cos(bearings) + mounting[2, 1] * np.sin(bearings))
-        steepest = float(falls.max(initial=0.0))
-        height = float(mounting[2, 3])
-        return height / steepest if height > 0 and steepest > 1e-6 else math.inf
-
 
 def mounting_findings(lasers: Mapping[str, Mounting]) -> Iterator[Finding]:
     """Yield several_lasers, laser_far_away and tilting_laser, by the mountings of all lasers."""
@@ -260,17 +226,6 @@ def mounting_findings(lasers: Mapping[str, Mounting]) -> Iterator[Finding]:
                 laser.tilt_rad,
                 "rad",
                 "State the frame of the scan itself: x ahead, z up, the beams in the plane of x and y.",
-                sensor,
-            )
-        elif laser.floor_m() < _NEAR_FLOOR_M:
-            yield Finding(
-                "tilting_laser",
-                Severity.WARNING,
-                f"The laser is mounted {math.degrees(laser.tilt_rad):.1f} degrees from level, and its beams meet the "
-                f"floor from {laser.floor_m():.1f} m on: the floor is mapped as a wall.",
-                laser.tilt_rad,
-                "rad",
-                f"Level the laser, or map with --set range_max_m={0.95 * laser.floor_m():.1f}.",
                 sensor,
             )
 

@@ -10,7 +10,7 @@ from typing import final
 
 import numpy as np
 
-from gridslam.doctor.calibration import MotionCalibration, ParameterEstimate, calibrate
+from gridslam.doctor.calibration import MotionCalibration, calibrate
 from gridslam.doctor.finding import Finding, Severity
 from gridslam.doctor.intervals import turn_rates
 from gridslam.doctor.laser_motion import LaserMotion, LaserMotionEstimator
@@ -20,8 +20,6 @@ from gridslam.types import ScanGeometry
 
 _OF_WHEELS = {"odometry_scale", "odometry_rotation_bias", "odometry_drift"}
 _SMEAR_RAD = 0.02  # over a scan: 10 cm at 5 m, two cells
-_HALF = 0.25  # of half the sweep, or deviations: how near to it a skew is that the sweep makes
-_HALF_SIGMAS = 4.0
 
 # Differences from which on they are reported, and are more than information. Wheel odometry errs by a percent or
 # two on every robot and matching compensates for it; larger errors can be measured and corrected.
@@ -72,17 +70,8 @@ class _Laser:
             return None
         calibration = calibrate(motion)
         skewed = self._skewed(motion)
-        found = [skewed] if skewed else []
-        for finding in motion_findings(motion, calibration):
-            if not (skewed and finding.code == "clock_skew" and self._is_half_of_the_sweep(calibration.skew_s)):
-                found.append(finding)
+        found = [*([skewed] if skewed else []), *motion_findings(motion, calibration)]
         return found if found or calibration.scale.determined else None
-
-    def _is_half_of_the_sweep(self, skew: ParameterEstimate) -> bool:
-        """Return whether scans look late or early because they are stamped by their last beam, or by their first."""
-        half_s = 0.5 * self.sweep_s
-        apart_s = abs(abs(skew.value) - half_s)
-        return not self.has_beam_times and apart_s < max(_HALF * half_s, _HALF_SIGMAS * skew.sigma)
 
     def _skewed(self, motion: LaserMotion) -> Finding | None:
         """Find scans that are skewed by turning, and whether the log allows deskewing."""

@@ -381,15 +381,6 @@ class TileMaps:
             spare = max(spare, _SPARE_TILES, len(arena.tile_refs) // 16)
             arena.reserve(_SPARE_PAGES, spare)
 
-    def match_scans(
-        self, guesses: Poses, prior: Annotated[FloatArray, 3, 3], batch: ScanBatch, *settings: float | bool
-    ) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """Match each scan of a batch to the one map from its guess (K, 3), with prior information (3, 3)."""
-        found: tuple[FloatArray, FloatArray, FloatArray] = backend.match_scans(
-            *self._view, guesses, prior, *batch, self.resolution_m, *settings, self.threads
-        )
-        return found
-
     def limit(self, log_odds: float) -> None:
         """Limit the log-odds of all known cells of all maps to `log_odds` nats, so that less evidence can change them.
 

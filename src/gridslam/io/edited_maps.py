@@ -18,7 +18,6 @@ from gridslam.types import OccupancyGrid
 _BoolArray: TypeAlias = NDArray[np.bool_]
 SUFFIX = ".geojson"
 _SURE_LOG_ODDS = 4.6  # of probability 0.99, as maps are read
-_CONNECTED = 0.7072  # of a cell, from a line: cells whose middles are no farther from it touch each other
 
 
 def read_edited_map(
@@ -93,10 +92,7 @@ def apply_edits(grid: OccupancyGrid, edits: Edits) -> OccupancyGrid:
 
 
 def cells_of(edit: Edit, grid: OccupancyGrid) -> tuple[tuple[slice, slice], _BoolArray]:
-    """Cells of a map that an edit covers.
-
-    A polygon has the cells whose middles are in it. A line has those whose middles are within half its width, at least
-    a row of cells that touch each other.
+    """Cells of a map that an edit covers: those in or on a polygon, or on a line, which is at least three cells wide.
 
     Returns
     -------
@@ -105,38 +101,17 @@ def cells_of(edit: Edit, grid: OccupancyGrid) -> tuple[tuple[slice, slice], _Boo
     inside : (h, w) bool
         Of the window.
     """
+    from PIL import Image, ImageDraw  # only edits pay for its import
+
     places = (edit.points - np.array(grid.origin)) / grid.resolution_m - 0.5  # in cells, from the middle of the first
-    reach = max(0.5 * edit.width_m / grid.resolution_m, _CONNECTED) if edit.geometry == "LineString" else 0.0
-    low = np.clip(np.ceil(places.min(axis=0) - reach), 0, grid.shape[::-1]).astype(np.int64)
-    high = np.clip(np.floor(places.max(axis=0) + reach) + 1, low, grid.shape[::-1]).astype(np.int64)
-    window = slice(int(low[1]), int(high[1])), slice(int(low[0]), int(high[0]))
-    shape = tuple((high - low)[::-1].tolist())
+    width = max(3, round(edit.width_m / grid.resolution_m)) if edit.geometry == "LineString" else 0
+    low = np.clip(np.floor(places.min(axis=0)) - width, 0, grid.shape[::-1]).astype(np.int64)
+    high = np.clip(np.ceil(places.max(axis=0)) + width + 1, low, grid.shape[::-1]).astype(np.int64)
+    image = Image.new("1", (max(1, int(high[0] - low[0])), max(1, int(high[1] - low[1]))))
+    corners = [tuple(corner) for corner in (places - low).tolist()]
     if edit.geometry == "Polygon":
-        return window, _fill(places - low, shape)
-    inside = np.zeros(shape, np.bool_)
-    for begin, end in zip(places[:-1] - low, places[1:] - low, strict=True):
-        inside |= _is_near(begin, end, reach, shape)
-    return window, inside
-
-
-def _fill(ring: NDArray[np.float64], shape: tuple[int, ...]) -> _BoolArray:
-    """Cells (h, w) whose middles are in a ring (K, 2): each side changes the cells to its right."""
-    height, width = shape
-    changes = np.zeros((height, width + 1), np.bool_)
-    for (x, y), (other_x, other_y) in zip(ring.tolist(), np.roll(ring, -1, axis=0).tolist(), strict=True):
-        first, last = (int(np.clip(np.ceil(end), 0, height)) for end in sorted((y, other_y)))
-        rows = np.arange(first, last)
-        if len(rows):
-            columns = np.ceil(x + (rows - y) * ((other_x - x) / (other_y - y)))
-            changes[rows, np.clip(columns, 0, width).astype(np.int64)] ^= True
-    return np.logical_xor.accumulate(changes, axis=1)[:, :width]
-
-
-def _is_near(begin: NDArray[np.float64], end: NDArray[np.float64], reach: float, shape: tuple[int, ...]) -> _BoolArray:
-    """Cells (h, w) whose middles are within a reach of a line."""
-    rows, columns = np.ogrid[: shape[0], : shape[1]]
-    along = end - begin
-    steps = ((columns - begin[0]) * along[0] + (rows - begin[1]) * along[1]) / max(float(along @ along), 1e-12)
-    steps = np.clip(steps, 0, 1)
-    apart = np.square(columns - begin[0] - steps * along[0]) + np.square(rows - begin[1] - steps * along[1])
-    return np.asarray(apart <= reach**2)
+        ImageDraw.Draw(image).polygon(corners, fill=1, outline=1)
+    else:
+        ImageDraw.Draw(image).line(corners, fill=1, width=width, joint="curve")
+    window = slice(int(low[1]), int(high[1])), slice(int(low[0]), int(high[0]))
+    return window, np.array(image, np.bool_)[: high[1] - low[1], : high[0] - low[0]]

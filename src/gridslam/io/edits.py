@@ -25,11 +25,9 @@ LAYERS: Mapping[str, tuple[str, ...]] = {
     "keep_out": ("Polygon",),
     "no_go": ("LineString",),
     "speed": ("Polygon",),
-    "lanes": ("LineString",),
 }
 """Each layer, and the geometries that it may have."""
-_WIDTHS_M = {"walls": 0.1, "no_go": 0.1, "lanes": 0.6}
-_LIMITS = {"limit_percent": (1.0, 100.0), "limit_m_s": (0.01, 100.0)}
+_WIDTH_M = 0.1
 _MOST_FEATURES = 10_000
 _MOST_CORNERS = 1000
 _LONGEST_NAME = 100
@@ -54,8 +52,8 @@ class Edit:
         Of a room.
     width_m : float, m
         Of a line.
-    limits : dict of str to float
-        Of a speed zone: "limit_percent", 1 to 100, or "limit_m_s".
+    limit_percent : float, 1 to 100
+        Of a speed zone, of the highest speed; 0 of another edit.
     """
 
     layer: str
@@ -63,18 +61,14 @@ class Edit:
     points: _FloatArray
     name: str = ""
     width_m: float = 0.0
-    limits: Mapping[str, float] | None = None
+    limit_percent: float = 0.0
 
     def to_feature(self) -> dict[str, Any]:
         """Return the feature of GeoJSON, with positions to 0.1 mm."""
         places = (np.round(self.points, 4) + 0.0).tolist()
         coordinates = {"Point": places[0], "LineString": places, "Polygon": [[*places, places[0]]]}[self.geometry]
-        properties: dict[str, Any] = {"layer": self.layer}
-        if self.name:
-            properties["name"] = self.name
-        if self.width_m:
-            properties["width_m"] = self.width_m
-        properties |= self.limits or {}
+        given = {"name": self.name, "width_m": self.width_m, "limit_percent": self.limit_percent}
+        properties = {"layer": self.layer, **{key: value for key, value in given.items() if value}}
         geometry = {"type": self.geometry, "coordinates": coordinates}
         return {"type": "Feature", "properties": properties, "geometry": geometry}
 
@@ -122,8 +116,8 @@ def read_edits(path: str | Path) -> Edits:
     Raises
     ------
     InputError
-        With the number of the feature, from 1: it has no layer of `LAYERS`, or another geometry; a polygon crosses
-        itself; a number is missing or out of range; positions are not in m of the map's frame.
+        With the number of the feature, from 1: it has no layer of `LAYERS`, or another geometry; a polygon has
+        no area; a number is missing or out of range; positions are not in m of the map's frame.
     """
     return parse_edits(read_json(path), path)
 
@@ -166,8 +160,8 @@ def _parse_feature(feature: Any) -> Edit:  # noqa: ANN401
         kind,
         _read_points(kind, geometry.get("coordinates")),
         _read_name(properties) if layer == "rooms" else "",
-        _read_number(properties, "width_m", 0.01, 10.0, _WIDTHS_M[layer]) if is_line else 0.0,
-        _read_limits(properties) if layer == "speed" else None,
+        _read_number(properties, "width_m", 0.01, 10.0, _WIDTH_M) if is_line else 0.0,
+        _read_number(properties, "limit_percent", 1.0, 100.0, math.nan) if layer == "speed" else 0.0,
     )
 
 
@@ -183,13 +177,6 @@ def _read_number(properties: Mapping[str, Any], key: str, low: float, high: floa
     if not (type(number) in (int, float) and low <= number <= high):
         raise ValueError(f"expected {key} from {low:g} to {high:g}, got {str(number)[:40]}")
     return float(number)
-
-
-def _read_limits(properties: Mapping[str, Any]) -> dict[str, float]:
-    given = [key for key in _LIMITS if key in properties]
-    if len(given) != 1:
-        raise ValueError(f"expected either {' or '.join(_LIMITS)}, got {' and '.join(given) or 'none'}")
-    return {given[0]: _read_number(properties, given[0], *_LIMITS[given[0]], math.nan)}
 
 
 def _are_finite(values: list[Any]) -> bool:
@@ -219,42 +206,12 @@ def _read_points(kind: str, coordinates: Any) -> _FloatArray:  # noqa: ANN401
 
 
 def _check_ring(points: _FloatArray) -> _FloatArray:
-    """Corners of a closed ring (K + 1, 2), anticlockwise; raises ValueError where it crosses itself or has no area."""
+    """Corners of a closed ring (K + 1, 2), anticlockwise; raises ValueError where it has no area."""
     if (points[0] != points[-1]).any():
         raise ValueError("expected a closed ring, whose last position is the first one")
-    ring = points[:-1][(np.diff(points, axis=0) != 0).any(axis=1)]
+    ring = points[:-1]
     x, y = (ring - points[0]).T
-    areas = 0.5 * (x * np.roll(y, -1) - np.roll(x, -1) * y)
-    area = float(areas.sum())
-    has_area = len(ring) >= 3 and np.abs(areas).max() >= _LEAST_AREA_M2
-    crossing = _find_crossing(ring) if has_area else None
-    if crossing is None and abs(area) < _LEAST_AREA_M2:
+    area = 0.5 * float((x * np.roll(y, -1) - np.roll(x, -1) * y).sum())
+    if abs(area) < _LEAST_AREA_M2:
         raise ValueError("expected a polygon with an area")
-    if crossing is not None:
-        raise ValueError(
-            f"expected a polygon that does not cross itself, got a crossing at {crossing[0]:g}, {crossing[1]:g}"
-        )
     return np.asarray(ring if area > 0 else ring[::-1])
-
-
-def _find_crossing(ring: _FloatArray) -> _FloatArray | None:
-    """An end of a side of a ring (K, 2) that meets one which is not its neighbour; None if none does.
-
-    One that folds back on its neighbour is found as well: it ends on it, where the next side begins, or it passes the
-    place where the neighbour began, and the side before that ends.
-    """
-    begin, end = ring, np.roll(ring, -1, axis=0)
-
-    def sides(a: _FloatArray, b: _FloatArray, c: _FloatArray) -> _FloatArray:
-        """On which side of lines (K,) from a to b points c (K,) lie: (K, K) of -1, 0 or 1."""
-        along, apart = (b - a)[:, None], c[None] - a[:, None]
-        return np.asarray(np.sign(along[..., 0] * apart[..., 1] - along[..., 1] * apart[..., 0]))
-
-    first, second = sides(begin, end, begin), sides(begin, end, end)
-    split = first * second <= 0
-    low, high = np.minimum(begin, end), np.maximum(begin, end)
-    meets = split & split.T & (low[:, None] <= high[None]).all(axis=2) & (low[None] <= high[:, None]).all(axis=2)
-    numbers = np.arange(len(ring))
-    apart = (numbers[:, None] - numbers[None]) % len(ring)
-    meets &= (apart > 1) & (apart < len(ring) - 1)
-    return np.asarray(end[np.argwhere(meets)[0, 0]]) if meets.any() else None

@@ -29,7 +29,7 @@ _ALL = LogOptions()
 _LOG_FORMATS = "a CARMEN log or a CSV of scans (plain, .gz or .bz2), a ROS 1 bag, a ROS 2 bag (folder, .db3 or .mcap)"
 _HEAD_BYTES = 1 << 16
 _CARMEN_TAGS = frozenset(tag.encode() for tag in (*SCAN_TAGS, "ODOM", "PARAM"))
-_BAG_MAGIC = b"#ROSBAG V", b"\x89MCAP", b"SQLite format 3\x00", b"\x28\xb5\x2f\xfd"  # the last one: zstd
+_BAG_MAGIC = b"#ROSBAG V2", b"\x89MCAP", b"SQLite format 3\x00", b"\x28\xb5\x2f\xfd"  # the last one: zstd
 _OTHER_MAGIC = {
     b"PK\x03\x04": "a zip archive (unpack it first)",
     b"\xfd7zXZ": "an xz archive (unpack it first)",
@@ -41,7 +41,7 @@ _OTHER_MAGIC = {
     b"PAR1": "a Parquet file",
     b"# .PCD": "a point cloud",
     **dict.fromkeys(
-        (b"#ROSRECORD V", b"#ROSLOG V"),
+        (b"#ROSBAG V1", b"#ROSRECORD V", b"#ROSLOG V"),
         "a ROS 1 bag of the old format V1 (rosbag filter OLD.bag NEW.bag True writes it as V2.0)",
     ),
     b"header:": "messages as text (the table of rostopic echo -p -b BAG /scan is read, and so is the bag itself)",

@@ -6,16 +6,17 @@ import bz2
 import gzip
 import json
 import os
-import shutil
 import tempfile
 from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager
 from pathlib import Path
 from types import TracebackType
 from typing import IO, Any, cast, final
 
 from gridslam.errors import ArgumentError, OutputError
-from gridslam.io.staging import REPLACED, StagingFolder, exchange_folders, remove_abandoned, sync
+from gridslam.io.staging import StagingFolder, sync
+
+_LAST = "run.json"
 
 
 def require_writable(path: Path, *, is_folder: bool) -> None:
@@ -91,10 +92,9 @@ class OutputFolder:
     """The folder OUT of a run; a context manager: write to the paths that `file` returns.
 
     When the context is left without an exception the files move into OUT, replacing those of the same names; other
-    files in OUT stay. When an exception passes (an interrupt too), OUT is as it was before. A process that is killed
-    leaves the files of before or those of after: a new folder is renamed, and one that holds an earlier result is
-    exchanged as a whole, where the system can (Linux) and it has no folders in it. Otherwise the files move one by one,
-    and the next run completes what was interrupted.
+    files in OUT stay. When an exception passes (an interrupt too), OUT is as it was before. A new folder appears whole.
+    In one that exists the earlier run.json goes first and the new one comes last: where there is one, all files are of
+    its run, even after a process was killed.
 
     Parameters
     ----------
@@ -117,13 +117,13 @@ class OutputFolder:
         self._staging: StagingFolder | None = None
 
     def __enter__(self) -> OutputFolder:
-        """Check that OUT can be written and create the temporary folder."""
+        """Check that OUT can be written and create the temporary folder, in OUT or else in the folder above."""
         above = _find_folder(self.path, self.path)
         try:
             self._require_no_folders(self._names)
-            if above == self.path and not os.access(above, os.W_OK | os.X_OK):
-                raise OutputError(f"{self.path}: cannot be written: Permission denied")
-            self._staging = self._stage(above)
+            self._staging = StagingFolder(above, self.path.name)
+            self._aside = self._staging.path / "out"
+            self._aside.mkdir()
         except OSError as error:
             raise OutputError(f"{self.path}: cannot be written: {error.strerror}") from None
         return self
@@ -135,7 +135,7 @@ class OutputFolder:
         assert self._staging is not None
         try:
             if kind is None:
-                self._publish(self._staging.path)
+                self._publish(self._aside)
         except OSError as problem:
             raise OutputError(f"{self.path}: cannot be written: {problem.strerror or problem}") from None
         finally:
@@ -145,8 +145,7 @@ class OutputFolder:
         """Return path to write the file `name` of OUT to, within the context."""
         if Path(name).name != name or name in ("", ".."):
             raise ArgumentError("name", "the name of a file, without a folder", name)
-        assert self._staging is not None
-        return self._staging.path / name
+        return self._aside / name
 
     def write_json(self, name: str, document: Mapping[str, Any]) -> None:
         """Write a JSON file; ``schema`` names its type. NaN and infinity have no place in JSON.
@@ -161,38 +160,6 @@ class OutputFolder:
             raise ArgumentError("document", "JSON values", error) from None
         self.file(name).write_text(text + "\n", encoding="utf-8")
 
-    def _stage(self, above: Path) -> StagingFolder:
-        """Create the temporary folder: beside OUT if that can be exchanged, otherwise in it or in the folder above."""
-        name = self.path.name
-        if above != self.path:
-            return StagingFolder(above, name)
-        out = self.path.resolve()
-        if any(file.name.endswith(".partial") for file in out.iterdir()):
-            StagingFolder(self.path, name, self.path).remove()  # it completes what was interrupted
-            remove_abandoned(out)
-        if self._is_exchangeable(out.parent):
-            with suppress(OSError):
-                return StagingFolder(out.parent, out.name, out)
-        return StagingFolder(self.path, name, self.path)
-
-    def _is_exchangeable(self, beside: Path) -> bool:
-        """Whether OUT contains only an earlier result, and is not this process's working folder.
-
-        A mount point cannot be exchanged.
-        """
-        here = Path.cwd()
-        return (
-            (self.path / "run.json").is_file()
-            and all(
-                file.is_file() and not file.is_symlink()
-                for file in self.path.iterdir()
-                if not file.name.endswith(".partial")
-            )
-            and not any(folder.samefile(self.path) for folder in (here, *here.parents))
-            and beside.stat().st_dev == self.path.stat().st_dev
-            and os.access(beside, os.W_OK | os.X_OK)
-        )
-
     def _publish(self, aside: Path) -> None:
         staged = [file.name for file in aside.iterdir()]
         sync(*aside.iterdir(), aside)
@@ -202,55 +169,11 @@ class OutputFolder:
             sync(self.path.parent)
             return
         self._require_no_folders(staged)
-        if aside.parent == self.path or not self._exchange(aside):
-            self._move(aside, staged)
+        if _LAST in staged:
+            (self.path / _LAST).unlink(missing_ok=True)
+        for name in sorted(staged, key=_LAST.__eq__):
+            os.replace(aside / name, self.path / name)
         sync(self.path)
-
-    def _exchange(self, aside: Path) -> bool:
-        """Exchange the folder with OUT; OUT's other files are in both. Return False if that is impossible."""
-        out = self.path.resolve()
-        if not self._is_exchangeable(aside.parent):
-            return False
-        linked = []
-        try:
-            for file in out.iterdir():
-                if not (aside / file.name).exists():
-                    os.link(file, aside / file.name)
-                    linked.append(aside / file.name)
-            shutil.copystat(out, aside)
-            is_exchanged = exchange_folders(aside, out)
-        except OSError:  # a file system without links
-            is_exchanged = False
-        if not is_exchanged:
-            for link in linked:
-                link.unlink()
-            return False
-        for file in aside.iterdir():
-            if not os.path.lexists(out / file.name):  # it was created just now
-                os.replace(file, out / file.name)
-        sync(aside.parent)
-        return True
-
-    def _move(self, aside: Path, staged: Sequence[str]) -> None:
-        """Move the files one by one, run.json as the last: who finds it finds all."""
-        replaced = aside / REPLACED
-        replaced.mkdir()
-        try:
-            for name in sorted(staged, key="run.json".__eq__):
-                if os.path.lexists(self.path / name):
-                    os.replace(self.path / name, replaced / name)
-                os.replace(aside / name, self.path / name)
-        except BaseException:
-            self._restore(aside, staged, replaced)
-            raise
-
-    def _restore(self, aside: Path, staged: Sequence[str], replaced: Path) -> None:
-        """Undo the moves; the location of the files shows which of them had happened."""
-        for name in staged:
-            if os.path.lexists(replaced / name):
-                os.replace(replaced / name, self.path / name)
-            elif not (aside / name).exists():
-                (self.path / name).unlink()
 
     def _require_no_folders(self, names: Sequence[str]) -> None:
         for name in names:

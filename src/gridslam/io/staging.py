@@ -2,27 +2,20 @@
 
 from __future__ import annotations
 
-import ctypes
 import errno
 import os
 import re
-import secrets
 import shutil
-import weakref
 from pathlib import Path
-from typing import Final, final
+from tempfile import TemporaryDirectory
+from typing import final
 
 try:
     import fcntl
 except ImportError:  # Windows has no such locks: there nothing is removed
     fcntl = None  # type: ignore[assignment]
 
-REPLACED: Final = ".replaced"
-"""Folder within a staging folder for the files that are being replaced; it shows that publishing had begun."""
-
-_PARTIAL = re.compile(r"\..+\.[0-9a-f]{8}\.partial")
-_EXCHANGE = 2  # RENAME_EXCHANGE of renameat2
-_HERE = -100  # AT_FDCWD
+_PARTIAL = re.compile(r"\..+\.\w{8}\.partial")
 
 
 @final
@@ -30,7 +23,7 @@ class StagingFolder:
     """A folder `.NAME.XXXXXXXX.partial` of its own for a file or folder NAME.
 
     It is locked as long as this process lives, and removed at its end wherever an interrupt has come. Those that were
-    left by killed processes are removed first; one whose files were being moved into the folder `target` is completed.
+    left by killed processes are removed first.
 
     Parameters
     ----------
@@ -38,8 +31,6 @@ class StagingFolder:
         Folder in which it is created.
     name : str
         NAME.
-    target : Path, optional
-        Folder in which the files are published.
 
     Attributes
     ----------
@@ -52,27 +43,20 @@ class StagingFolder:
         The folder cannot be created.
     """
 
-    def __init__(self, parent: Path, name: str, target: Path | None = None) -> None:
-        """Remove abandoned files, and create the folder."""
-        for left in parent.glob(f".{_escape(name)}.????????.partial"):
-            _remove_unless_locked(left, target)
+    def __init__(self, parent: Path, name: str) -> None:
+        """Remove abandoned folders, and create this one."""
+        remove_abandoned(parent)
         while True:
-            self.path = parent / f".{name}.{secrets.token_hex(4)}.partial"
-            self._last_removal = weakref.finalize(self, _remove_own, self.path, os.getpid())
-            self.path.mkdir()
+            self._folder = TemporaryDirectory(".partial", f".{name}.", parent, ignore_cleanup_errors=True)
+            self.path = Path(self._folder.name)
             self._lock = _lock(self.path)
             if self.path.exists():  # else another process has removed it before it was locked
                 return
-            self._last_removal.detach()
-            self._unlock()
+            self.remove()
 
     def remove(self) -> None:
         """Remove the folder and all in it."""
-        shutil.rmtree(self.path, ignore_errors=True)
-        self._last_removal.detach()
-        self._unlock()
-
-    def _unlock(self) -> None:
+        self._folder.cleanup()
         if self._lock is not None:
             os.close(self._lock)
             self._lock = None
@@ -81,8 +65,9 @@ class StagingFolder:
 def remove_abandoned(folder: Path) -> None:
     """Remove half-written files of killed processes from a folder."""
     for left in folder.iterdir():
-        if _PARTIAL.fullmatch(left.name):
-            _remove_unless_locked(left, None)
+        if _PARTIAL.fullmatch(left.name) and (lock := _lock(left)) is not None:
+            shutil.rmtree(left, ignore_errors=True)
+            os.close(lock)
 
 
 def sync(*paths: Path) -> None:
@@ -101,15 +86,6 @@ def sync(*paths: Path) -> None:
             os.close(descriptor)
 
 
-def exchange_folders(a: Path, b: Path) -> bool:
-    """Exchange two folders in one step; returns False where the system cannot."""
-    try:
-        rename = ctypes.CDLL(None, use_errno=True).renameat2
-    except (AttributeError, OSError, TypeError):
-        return False
-    return bool(rename(_HERE, os.fsencode(a), _HERE, os.fsencode(b), _EXCHANGE) == 0)
-
-
 def _lock(path: Path) -> int | None:
     """Lock a folder for this process; None if it is locked, or cannot be."""
     if fcntl is None:
@@ -124,31 +100,3 @@ def _lock(path: Path) -> int | None:
         os.close(descriptor)
         return None
     return descriptor
-
-
-def _remove_own(path: Path, process: int) -> None:
-    """Remove a folder at the end of the process that has created it; a process that was forked from it leaves it."""
-    if os.getpid() == process:
-        shutil.rmtree(path, ignore_errors=True)
-
-
-def _remove_unless_locked(left: Path, target: Path | None) -> None:
-    """Remove a staging folder unless its process is alive; complete a move of its files that was interrupted."""
-    lock = _lock(left)
-    if lock is None:
-        return
-    try:
-        if target is not None and (left / REPLACED).is_dir() and target.is_dir():
-            for file in left.iterdir():
-                if file.name != REPLACED:
-                    os.replace(file, target / file.name)
-        shutil.rmtree(left, ignore_errors=True)
-    except OSError:  # whoever may, removes it
-        return
-    finally:
-        os.close(lock)
-
-
-def _escape(name: str) -> str:
-    """Escape the special characters of a pattern."""
-    return "".join(f"[{letter}]" if letter in "*?[" else letter for letter in name)

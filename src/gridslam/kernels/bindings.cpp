@@ -16,10 +16,8 @@
 #include "clusters.hpp"
 #include "correlate.hpp"
 #include "descriptors.hpp"
-#include "landmarks.hpp"
 #include "numbers.hpp"
 #include "several_scans.hpp"
-#include "shortest_ways.hpp"
 #include "surfaces.hpp"
 #include "update.hpp"
 
@@ -322,24 +320,6 @@ auto py_sum_at_ends(Array<const uint32_t, 2> patches, Pair corner, double resolu
 using Starts = Array<const int64_t, 1>;
 using Matrices = Array<const double, 3>;
 
-auto py_predict_landmarks(int sensor, Matrix poses, Matrix calibration, Matrices positions,
-                          Array<const double, 4> covariances, Starts rows, Starts columns, Matrices pose_covariances,
-                          Vector measured, Matrix noise) {
-  const size_t r = rows.shape(0);
-  auto residuals = fresh<double, 2>({r, 2});
-  auto innovations = fresh<double, 3>({r, 2, 2}), by_landmark = fresh<double, 3>({r, 2, 2});
-  auto by_pose = fresh<double, 3>({r, 2, 3}), by_sensor = fresh<double, 3>({calibration.shape(0) ? r : 0, 2, 2});
-  const Landmarks all{poses.data(), calibration.shape(0) ? calibration.data() : nullptr, positions.data(),
-                      covariances.data(), static_cast<int64_t>(positions.shape(1))};
-  {
-    nb::gil_scoped_release release;
-    predict_landmarks(static_cast<LandmarkSensor>(sensor), all, rows.data(), columns.data(), static_cast<int64_t>(r),
-                      pose_covariances.shape(0) ? pose_covariances.data() : nullptr, measured.data(), noise.data(),
-                      {residuals.data(), innovations.data(), by_pose.data(), by_landmark.data(), by_sensor.data()});
-  }
-  return std::make_tuple(residuals, innovations, by_pose, by_landmark, by_sensor);
-}
-
 auto py_mean_shift(Poses poses, Vector weights, Array<const bool, 1> first, Triple centre, double radius_m,
                    double radius_rad, int shifts) {
   const size_t n = poses.shape(0);
@@ -466,34 +446,6 @@ auto py_match_to_surfaces(Points points, Points normals, Vector bearings, Starts
   return std::make_tuple(guess, count);
 }
 
-auto py_draw_gaussians(Matrix means, Matrices covariances, Matrix numbers) {
-  const size_t k = means.shape(0), size = means.shape(1);
-  require(covariances.shape(0) == k && covariances.shape(1) == size && covariances.shape(2) == size &&
-              numbers.shape(0) == k && numbers.shape(1) == size,
-          "covariances, numbers: expected as many as means, of their size");
-  auto drawn = fresh<double, 2>({means.shape(0), means.shape(1)});
-  {
-    nb::gil_scoped_release release;
-    draw_gaussians(means.data(), covariances.data(), numbers.data(), static_cast<int64_t>(means.shape(0)),
-                   static_cast<int64_t>(means.shape(1)), drawn.data());
-  }
-  return drawn;
-}
-
-auto py_kalman_update(Array<double, 2> means, Array<double, 3> covariances, Starts rows, Matrices jacobians,
-                      Matrices innovations, Matrix residuals) {
-  const size_t r = rows.shape(0), size = covariances.shape(1);
-  auto shifts = fresh<double, 2>({r, size});
-  auto gains = fresh<double, 3>({r, size, 2});
-  {
-    nb::gil_scoped_release release;
-    kalman_update({means.data(), covariances.data(), static_cast<int64_t>(means.shape(1)), static_cast<int64_t>(size)},
-                  rows.data(), static_cast<int64_t>(r), jacobians.data(), innovations.data(), residuals.data(),
-                  shifts.data(), gains.data());
-  }
-  return std::make_tuple(shifts, gains);
-}
-
 Scans scans_of(const Poses& poses, const Points& ends, const Starts& starts, const Points& origins) {
   const size_t k = poses.shape(0);
   require(origins.shape(0) == k, "starts, origins: expected those of as many scans as poses");
@@ -523,56 +475,6 @@ auto py_draw_scans(GRIDSLAM_MAPS, Array<int32_t, 1> page_refs, Array<int32_t, 1>
                        cone.data(), static_cast<int>(cone.shape(0) / 2), room, weighing);
   }
   return std::make_tuple(drawn.pages, drawn.tiles, drawn.scans);
-}
-
-auto py_match_scans(GRIDSLAM_MAPS, Poses guesses, Shaped<const double, 3, 3> prior, Points ends, Starts starts,
-                    Points origins, double resolution, int max_iterations, double cauchy_cells, double max_step_cells,
-                    double max_step_rad, double stop_cells, double stop_rad, double reach_cells, double min_information,
-                    bool point_to_line, int min_beams, int threads) {
-  const Maps m = view(roots, first, pages, log_odds, field);
-  const size_t k = guesses.shape(0);
-  auto poses = fresh<double, 2>({k, 3});
-  auto information = fresh<double, 3>({k, 3, 3});
-  auto score = fresh<double, 1>({k});
-  const Scans scans = scans_of(guesses, ends, starts, origins);
-  {
-    nb::gil_scoped_release release;
-    match_scans(m, scans, prior.data(), resolution,
-                {max_iterations, cauchy_cells, max_step_cells, max_step_rad, stop_cells, stop_rad, reach_cells,
-                 min_information, point_to_line},
-                min_beams, threads, poses.data(), information.data(), score.data());
-  }
-  return std::make_tuple(poses, information, score);
-}
-
-auto py_shortest_ways(Poses firsts, Shaped<const double, -1, 9> steps, Shaped<const int32_t, -1, 2> link_submaps,
-                      Shaped<const double, -1, 12> links, int submap, Shaped<const double, 9> moments, Triple pose,
-                      double x, double y, double limit, int most, int last) {
-  const SubmapGraph graph{firsts.data(),
-                          static_cast<int>(firsts.shape(0)),
-                          steps.data(),
-                          static_cast<int>(steps.shape(0)),
-                          link_submaps.data(),
-                          links.data(),
-                          static_cast<int>(links.shape(0))};
-  WayStart from{submap, {}, {pose.data()[0], pose.data()[1], pose.data()[2]}, x, y, limit, most, last};
-  std::copy_n(moments.data(), from.moments.size(), from.moments.data());
-  std::vector<int32_t> found;
-  std::vector<Moments> ways;
-  std::vector<std::array<double, 3>> ends;
-  {
-    nb::gil_scoped_release release;
-    shortest_ways(graph, from, found, ways, ends);
-  }
-  auto submaps = fresh<int32_t, 1>({found.size()});
-  auto sums = fresh<double, 2>({found.size(), 9});
-  auto poses = fresh<double, 2>({found.size(), 3});
-  std::copy_n(found.data(), found.size(), submaps.data());
-  for (size_t i = 0; i < found.size(); ++i) {
-    std::copy_n(ways[i].data(), 9, sums.data() + 9 * i);
-    std::copy_n(ends[i].data(), 3, poses.data() + 3 * i);
-  }
-  return std::make_tuple(submaps, sums, poses);
 }
 
 auto py_parse_numbers(nb::bytes text, size_t rows) {
@@ -653,8 +555,6 @@ NB_MODULE(_compiled, m) {
   m.def("known_cells", &py_known_cells, GRIDSLAM_MAPS_ARGS, "row"_a, "pose"_a, "points"_a, "resolution"_a);
   m.def("cast_rays", &py_cast_rays, GRIDSLAM_MAPS_ARGS, "rows"_a, "poses"_a, "origin"_a, "directions"_a, "resolution"_a,
         "max_m"_a, "threads"_a);
-  m.def("predict_landmarks", &py_predict_landmarks, "sensor"_a, "poses"_a, "calibration"_a, "positions"_a,
-        "covariances"_a, "rows"_a, "columns"_a, "pose_covariances"_a, "measured"_a, "noise"_a);
   m.def("mean_shift", &py_mean_shift, "poses"_a, "weights"_a, "first"_a, "centre"_a, "radius_m"_a, "radius_rad"_a,
         "shifts"_a);
   m.def("are_true", &py_are_true, "mask"_a, "corner"_a, "inverse_resolution"_a, "poses"_a);
@@ -666,19 +566,11 @@ NB_MODULE(_compiled, m) {
         "poses"_a, "own_points"_a, "own_normals"_a, "guess"_a, "prior"_a, "gates_m"_a, "scale_m"_a,
         "least_information"_a);
   m.def("hamming_distances", &py_hamming_distances, "a"_a, "b"_a);
-  m.def("draw_gaussians", &py_draw_gaussians, "means"_a, "covariances"_a, "numbers"_a);
-  m.def("kalman_update", &py_kalman_update, nb::arg("means").noconvert(), nb::arg("covariances").noconvert(), "rows"_a,
-        "jacobians"_a, "innovations"_a, "residuals"_a);
   m.def("sum_at_ends", &py_sum_at_ends, "patches"_a, "corner"_a, "resolution"_a, "poses"_a, "ends"_a, "threads"_a);
   m.def("draw_scans", &py_draw_scans, GRIDSLAM_MAPS_ARGS, nb::arg("page_refs").noconvert(),
         nb::arg("tile_refs").noconvert(), "free_pages"_a, "free_tiles"_a, "poses"_a, "ends"_a, "starts"_a, "origins"_a,
         "begin"_a, "end"_a, "resolution"_a, "steps"_a, "cone"_a, "room"_a, "weighed_after"_a,
         nb::arg("weights").noconvert(), "reach_cells"_a, "scale_m"_a);
-  m.def("match_scans", &py_match_scans, GRIDSLAM_MAPS_ARGS, "guesses"_a, "prior"_a, "ends"_a, "starts"_a, "origins"_a,
-        "resolution"_a, "max_iterations"_a, "cauchy_cells"_a, "max_step_cells"_a, "max_step_rad"_a, "stop_cells"_a,
-        "stop_rad"_a, "reach_cells"_a, "min_information"_a, "point_to_line"_a, "min_beams"_a, "threads"_a);
-  m.def("shortest_ways", &py_shortest_ways, "firsts"_a, "steps"_a, "link_submaps"_a, "links"_a, "submap"_a, "moments"_a,
-        "pose"_a, "x"_a, "y"_a, "limit"_a, "most"_a, "last"_a);
   m.def("parse_numbers", &py_parse_numbers, "text"_a, "rows"_a);
   m.def("format_rows", &py_format_rows, "stamps_ns"_a, "values"_a, "is_fixed"_a, "separator"_a);
   m.def("max_pyramid", &py_max_pyramid, "field"_a, "ids"_a, "likelihood"_a);

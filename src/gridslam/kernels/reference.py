@@ -31,7 +31,6 @@ from numpy.typing import NDArray
 from gridslam.kernels import reference_scans
 from gridslam.kernels.reference_clusters import are_true, mean_shift, slots_of
 from gridslam.kernels.reference_descriptors import hamming_distances
-from gridslam.kernels.reference_landmarks import draw_gaussians, kalman_update, predict_landmarks
 from gridslam.kernels.reference_maps import begin_update, end_update, update
 from gridslam.kernels.reference_numbers import format_rows, parse_numbers
 from gridslam.kernels.reference_surfaces import fit_surfaces, match_surfaces, match_to_surfaces
@@ -51,7 +50,6 @@ from gridslam.kernels.reference_update import (
     transform_to_world,
     unknown_of,
 )
-from gridslam.kernels.reference_ways import shortest_ways
 
 __all__ = [
     "are_true",
@@ -59,26 +57,21 @@ __all__ = [
     "cast_rays",
     "correlate",
     "distances",
-    "draw_gaussians",
     "draw_scans",
     "end_update",
     "fit_surfaces",
     "format_rows",
     "hamming_distances",
-    "kalman_update",
     "known_cells",
     "make_tiles_writable",
     "match",
     "match_pose",
-    "match_scans",
     "match_surfaces",
     "match_to_surfaces",
     "max_pyramid",
     "mean_shift",
     "parse_numbers",
-    "predict_landmarks",
     "select_beams",
-    "shortest_ways",
     "slots_of",
     "sum_at_ends",
     "tiles_on_rays",
@@ -628,4 +621,3 @@ def _within(
 
 
 draw_scans = partial(reference_scans.draw_scans, distances, known_cells)
-match_scans = partial(reference_scans.match_scans, match)

@@ -117,41 +117,6 @@ def draw_scans(
     return len(free_pages) - pages_left, len(free_tiles) - tiles_left, done - begin
 
 
-def match_scans(
-    match: Callable[..., tuple[FloatArray, FloatArray, FloatArray]],
-    roots: Int32Array,
-    first: tuple[int, int],
-    pages: Int32Array,
-    log_odds: LogOdds,
-    field: NDArray[np.uint8],
-    guesses: FloatArray,
-    prior: FloatArray,
-    ends: FloatArray,
-    starts: IntArray,
-    origins: FloatArray,
-    resolution: float,
-    max_iterations: int,
-    *settings: float | bool,
-) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Match each of K scans to map 0 from its guess (K, 3) with the prior information (3, 3): see `match`.
-
-    `settings` are those of `match`, and then `min_beams`: a scan of fewer is evaluated at its guess; and `threads`.
-    """
-    *own, min_beams, threads = settings
-    maps = roots, first, pages, log_odds, field
-    found = []
-    for scan, guess in enumerate(guesses):
-        beams = ends[starts[scan] : starts[scan + 1]]
-        passes = max_iterations if len(beams) >= min_beams else 0
-        found.append(match(*maps, _ROW, guess[None], prior[None], beams, resolution, passes, *own, threads))
-    poses, information, score = zip(*found, strict=True) if found else ((), (), ())
-    return (
-        np.array([pose[0] for pose in poses]).reshape(-1, 3),
-        np.array([own[0] for own in information]).reshape(-1, 3, 3),
-        np.array([own[0] for own in score]).reshape(-1),
-    )
-
-
 def _most_new(
     roots: Int32Array, first: tuple[int, int], pages: Int32Array, tile_refs: Int32Array, crossed: Int32Array
 ) -> tuple[int, int]:

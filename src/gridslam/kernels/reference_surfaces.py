@@ -301,14 +301,10 @@ def match_surfaces(
 
 
 class MatchedPoints(NamedTuple):
-    """Points of scans on lines of others, pair by pair.
+    """Points of scans on lines of others.
 
     Attributes
     ----------
-    pairs, points, lines : (K,) int64
-        Which ones.
-    normals, towards : (K, 2) float64
-        Of the lines, in the frame of the scan to which they belong, and in that of the scan with the points.
     residuals : (K,) float64, m
         Distances from the lines.
     slopes, slopes_of_fixed : (K, 3) float64
@@ -318,11 +314,6 @@ class MatchedPoints(NamedTuple):
         What they weigh by, see `match_surfaces`.
     """
 
-    pairs: Places
-    points: Places
-    lines: Places
-    normals: Numbers
-    towards: Numbers
     residuals: Numbers
     slopes: Numbers
     slopes_of_fixed: Numbers
@@ -377,7 +368,7 @@ def match_points(
         variance = LEAST_VARIANCE + 0.5 * (own_squares + _squared_cosines(points[line] - origins[fixed][pair], normal))
     of_fixed = -np.column_stack([normal, normal[:, 1] * at[:, 0] - normal[:, 0] * at[:, 1]])
     slope = np.column_stack([towards, towards[:, 1] * x - towards[:, 0] * y])
-    found = MatchedPoints(pair, own, line, normal, towards, residual, slope, of_fixed, variance)
+    found = MatchedPoints(residual, slope, of_fixed, variance)
     return MatchedPoints._make(each[fits] for each in found)
 
 

@@ -1,5 +1,5 @@
-// Many scans, each with a pose of its own, in one call: drawn one after the other into one map, and weighed in between;
-// or matched to one map. Each is what the kernels for a single scan do.
+// Many scans, each with a pose of its own, drawn into one map in one call, one after the other, and weighed in between.
+// Each is what the kernels for a single scan do.
 
 #include "several_scans.hpp"
 
@@ -121,17 +121,6 @@ Drawn draw_scans(const Maps& m, const FreeTiles& spare, const Scans& scans, int 
     weigh_after(++i);
   drawing.update_field();
   return {drawing.pages(), drawing.tiles(), i - first};
-}
-
-void match_scans(const Maps& m, const Scans& scans, const double* prior, double resolution, const MatchSettings& s,
-                 int min_beams, int threads, double* poses, double* information, double* score) {
-  static constexpr int32_t kRow = 0;
-  parallel_for(scans.n, threads, [&](int i) {
-    MatchSettings own = s;
-    if (scans.beams(i) < min_beams) own.max_iterations = 0;
-    match(m, &kRow, scans.pose(i), prior, 1, scans.ends_of(i), scans.beams(i), resolution, own, 1, poses + 3 * i,
-          information + 9 * i, score + i);
-  });
 }
 
 }  // namespace gridslam

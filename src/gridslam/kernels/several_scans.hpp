@@ -43,8 +43,4 @@ struct Drawn {
 Drawn draw_scans(const Maps& m, const FreeTiles& spare, const Scans& scans, int first, int last, double resolution,
                  const Evidence& e, const uint8_t* cone, int reach, int64_t room, const Weighing& weighing);
 
-// Matches each scan to map 0 from its pose; those of fewer beams than `min_beams` stay where they are.
-void match_scans(const Maps& m, const Scans& scans, const double* prior, double resolution, const MatchSettings& s,
-                 int min_beams, int threads, double* poses, double* information, double* score);
-
 }  // namespace gridslam

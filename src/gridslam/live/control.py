@@ -20,13 +20,6 @@ def check_speed(factor: float | None) -> float | None:
     return factor
 
 
-def check_particle(particle: object, count: int) -> int:
-    """Check a particle's index requested by a viewer; raises ArgumentError if it is not below `count`."""
-    if not isinstance(particle, int) or not 0 <= particle < count:
-        raise ArgumentError("particle", f"an index below {count}", particle)
-    return particle
-
-
 @final
 class Control:
     """Decides when the next scan is passed to the filter; viewers set it, the filter's thread waits.
@@ -77,11 +70,6 @@ class Control:
         self._ended = True
         self.resume()
         self.set_speed(None)
-
-    def wake(self) -> None:
-        """Wake a waiting filter's thread to process requests."""
-        with self._changed:
-            self._changed.notify_all()
 
     def on_key_scan(self) -> None:
         """End a step to the next key scan."""

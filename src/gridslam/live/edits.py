@@ -19,7 +19,7 @@ from gridslam.io.edited_maps import check_edits, compute_image_digest, require_i
 from gridslam.io.edits import Edits, parse_edits, read_edits, write_edits
 from gridslam.io.maps import read_map
 from gridslam.io.text import compute_digest, parse_json_object
-from gridslam.live.downloads import is_authorized, is_foreign
+from gridslam.live.access import is_authorized, is_foreign
 
 EDITS_NAME = "edits.geojson"
 _MOST_BYTES = 1 << 23

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import zlib
 from bisect import bisect_right
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from typing import Annotated, Any, NamedTuple, TypeAlias, final
 
 import numpy as np
@@ -132,20 +132,20 @@ class RowBuffer:
 class History:
     """The past of a run; written by one thread, read by others.
 
-    When there are too many moments every second one is joined with the one after, so that memory is bounded and the
-    moments stay even over the run. The first one, after the first key scan, is kept.
+    After each half of `most` moments the interval between the next ones is doubled: their number grows with the
+    logarithm of the run's length. The first one is after the first key scan.
 
     Parameters
     ----------
     most : int, >= 4
-        Number of moments that is not exceeded.
+        Moments of a run in which the interval was doubled twice.
     interval : int, >= 1
         Key scans between two moments at first.
 
     Attributes
     ----------
     moments : list of Moment
-        Appended to, and replaced when moments are joined.
+        Appended to.
     interval : int
         Key scans between two moments.
     stamps_ns, scans : list of int
@@ -165,7 +165,7 @@ class History:
         self.closures: IntArray = np.zeros((0, 2), np.int64)
         self.recognized = 0
         self._series = RowBuffer(5)
-        self._most = most
+        self._half = most // 2
 
     @property
     def series(self) -> Float32Array:
@@ -203,22 +203,8 @@ class History:
     def add(self, moment: Moment) -> None:
         """Add the next moment."""
         self.moments.append(moment)
-        if len(self.moments) >= self._most:
+        if len(self.moments) % self._half == 0:
             self.interval *= 2
-            self.moments = [*self._join_moments()]
-
-    def _join_moments(self) -> Iterator[Moment]:
-        """Yield the first moment, and those at multiples of the interval with all changes between them."""
-        first, *others = self.moments
-        yield first
-        begun: Moment | None = None
-        for moment in others:
-            begun = moment if begun is None else _join(begun, moment)
-            if moment.keys % self.interval == 0:
-                yield begun
-                begun = None
-        if begun is not None:
-            yield begun
 
     def find(self, keys: int) -> int:
         """Return the index of the last moment at most at a number of key scans; -1 if there is none."""
@@ -239,24 +225,6 @@ class History:
         return np.concatenate(parts[::-1]) if parts else NO_POINTS
 
 
-def _join(one: Moment, other: Moment) -> Moment:
-    """Return the second of two moments, with the changes of both."""
-    if other.first >= one.first:
-        first = one.first
-        path = np.concatenate([one.path[: other.first - one.first], other.path])
-    else:
-        first, path = other.first, other.path
-    newer = set(map(tuple, other.at.tolist()))
-    is_kept = [at not in newer for at in map(tuple, one.at.tolist())]
-    before, after = (
-        np.frombuffer(unpack_tiles(moment.tiles, len(moment.at)), np.uint8).reshape(-1, TILE_BYTES)
-        for moment in (one, other)
-    )
-    at = np.concatenate([one.at[is_kept], other.at])
-    tiles = pack_tiles(np.concatenate([before[is_kept], after]))
-    return other._replace(first=first, path=path, at=at, tiles=tiles)
-
-
 @final
 class PastMaps:
     """The map at each moment of a history, for readers in one thread that go forward and back."""
@@ -264,31 +232,21 @@ class PastMaps:
     def __init__(self, history: History) -> None:
         """Start before the first moment."""
         self._history = history
-        self._moments: list[Moment] = []
-        self._keyframes: dict[int, PackedTiles] = {}
+        self._keyframes: dict[int, PackedTiles] = {-1: {}}
         self._tiles: PackedTiles = {}
         self._index = -1
-        self._reset()
 
     def at(self, index: int) -> PackedTiles:
         """Return the tiles at a moment; the result is not to be written to, and valid until the next call."""
-        if self._history.moments is not self._moments:
-            self._reset()
         if index < self._index:
             kept = max(k for k in self._keyframes if k <= index)
             self._index, self._tiles = kept, dict(self._keyframes[kept])
         while self._index < index:
             self._index += 1
-            self._tiles.update(self._moments[self._index].unpack())
+            self._tiles.update(self._history.moments[self._index].unpack())
             if self._index % _KEYFRAME == 0 and self._index not in self._keyframes:
                 self._keyframes[self._index] = dict(self._tiles)
         return self._tiles
-
-    def _reset(self) -> None:
-        self._moments = self._history.moments
-        self._keyframes = {-1: {}}
-        self._tiles = {}
-        self._index = -1
 
 
 @final

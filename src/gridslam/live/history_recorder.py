@@ -9,7 +9,6 @@ from typing import TYPE_CHECKING, Any, TypeVar, final
 import numpy as np
 from numpy.typing import NDArray
 
-from gridslam.grid.tiles import TileMaps
 from gridslam.live.ancestry_tree import NO_POINTS
 from gridslam.live.history import (
     CORRECTED,
@@ -24,7 +23,7 @@ from gridslam.live.history import (
 )
 from gridslam.live.monitor import ClosureCollector
 from gridslam.live.protocol import pack_tiles as pack_levels
-from gridslam.live.tiles import EMPTY_BOX, TileChangeDetector, TileReplica
+from gridslam.live.tiles import TileChangeDetector, TileReplica
 from gridslam.slam.grid_fastslam.state import GridFastSlamState
 from gridslam.types import FloatArray, LaserScan, Odometry, StepReport
 from gridslam.viz.cloud import select_representatives
@@ -80,7 +79,8 @@ class HistoryRecorder:
         self._scan: LaserScan | None = None
         self._path: FloatArray = np.zeros((0, 2))
         self._poses = RowBuffer(2)
-        self._shown = _ShownMap()
+        self._detector = TileChangeDetector()
+        self._replica = TileReplica()  # as it looked at the last moment
         self._collector = ClosureCollector()
 
     def follow(self, source: Iterable[_Measured]) -> Iterator[_Measured]:
@@ -101,7 +101,7 @@ class HistoryRecorder:
         if report.skipped is not None:
             return
         if self._maps and report.corrected:
-            self._shown.forget()
+            self._detector.forget()
         flags = LOST * report.lost | CORRECTED * (self._maps and report.corrected)
         count = 0 if report.poses is None else len(report.poses)
         self.history.note_key_scan(report.stamp_ns, self._scans, (0.0, report.n_eff, 1e3 * seconds, flags, count))
@@ -115,7 +115,11 @@ class HistoryRecorder:
     ) -> Moment:
         at, tiles = _NOWHERE, NO_TILES
         if isinstance(state, GridFastSlamState):
-            at, tiles = self._shown.find_changes(state.maps, state.best)
+            before = self._replica.sequence
+            changes = self._detector.find_changes(state.maps, state.best)
+            self._replica.apply(changes)
+            at, looks, _ = self._replica.since(before, len(changes.at))
+            tiles = pack_tiles(pack_levels(looks))
             self.history.closures, self.history.recognized = self._collector.find(state)
             whole = state.ancestry.trajectory(state.best)[:, :2]
             first = count_common(whole, self._path)
@@ -133,32 +137,3 @@ class HistoryRecorder:
 
 
 _NOWHERE: NDArray[np.int32] = np.zeros((0, 2), np.int32)
-
-
-@final
-class _ShownMap:
-    """The map of the best particle as it was at the last moment.
-
-    It owns that map until the next one: the filter copies a tile before it writes to it, and only tiles that have
-    another id by then can look different.
-    """
-
-    def __init__(self) -> None:
-        """Start with an empty map."""
-        self._owned: TileMaps | None = None
-        self._detector = TileChangeDetector()
-        self._replica = TileReplica()
-
-    def forget(self) -> None:
-        """Give the map back; all tiles are compared at the next moment."""
-        self._owned = None
-
-    def find_changes(self, maps: TileMaps, row: int) -> tuple[NDArray[np.int32], NDArray[np.uint8]]:
-        """Return rows and columns (K, 2) and packed levels of the tiles that look different now."""
-        is_same = self._owned is not None and maps.shares_tiles(self._owned)
-        changes = self._detector.find_changes(maps, row, EMPTY_BOX if is_same else None)
-        self._owned = maps.snapshot(np.array([row]))
-        before = self._replica.sequence
-        self._replica.apply(changes)
-        at, looks, _ = self._replica.since(before, len(changes.at))
-        return at, pack_tiles(pack_levels(looks))

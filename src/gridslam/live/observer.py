@@ -109,7 +109,6 @@ class LiveObserver:
         self._is_new = False
         self._scan: LaserScan | None = None
         self._latest: tuple[Any, Any] | None = None  # report and state
-        self._requests: dict[int, tuple[int, int]] = {}  # of each channel the newest
         self._monitor.reset()
         self.history.reset()
 
@@ -139,7 +138,7 @@ class LiveObserver:
         self._latest = (report, state)
         self._is_new = True
         self.history(report, state, seconds)
-        self._monitor.record(report, self._scan)
+        self._monitor.record(report)
         if report.skipped is None:
             self._control.on_key_scan()
         if not self._busy and (now := time.perf_counter()) >= self._due:
@@ -147,16 +146,8 @@ class LiveObserver:
 
     def take_pending_snapshot(self) -> None:
         """Take a snapshot of pending changes while no scan arrives; call from the filter's thread."""
-        if not self._busy and (self._is_new or self._requests):
+        if not self._busy and self._is_new:
             self._take_snapshot(time.perf_counter())
-
-    def show_particle(self, channel: int, particle: int, keys: int) -> None:
-        """Show the map of a particle and its descendants as `channel`; thread-safe.
-
-        `particle` is its index after `keys` key scans; -1 closes the channel.
-        """
-        self._requests[channel] = particle, keys
-        self._control.wake()
 
     def _note_scan(self, scan: LaserScan) -> None:
         self._scan = scan
@@ -172,11 +163,6 @@ class LiveObserver:
         self._due = max(self._due + self.period_s, now)
         self._busy = True
         self._is_new = False
-        for channel in list(self._requests):
-            particle, keys = self._requests.pop(channel)
-            self._monitor.show_particle(channel, particle, keys)
-            if particle >= 0:  # its whole map is copied: one at a time, so that no visitor holds the filter up
-                break
         report, state = self._latest
         view = self._monitor.view(report, state)
         history = self.history.history

@@ -68,7 +68,7 @@ class LivePage:
         self._run = LiveRun(title, self.control, range_max_m, known, is_robot=is_robot)
         self._server = PageServer(self._run, options)
         self._last_stage = "final refinement" if known is None else "writing"
-        monitor: FilterMonitor = MappingMonitor(range_max_m) if known is None else LocalizationMonitor(known)
+        monitor: FilterMonitor = MappingMonitor() if known is None else LocalizationMonitor(known)
         history = HistoryRecorder(range_max_m, is_localization=known is not None)
         self.observer = LiveObserver(self._post, self.control, monitor, history)
         self._run.observer = self.observer

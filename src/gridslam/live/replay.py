@@ -20,7 +20,6 @@ from gridslam.live.results import MappedRun, StaticView
 from gridslam.live.scene import Scene, SentState, make_run_info
 from gridslam.live.tiles import TileReplica
 from gridslam.messages import Level, Messages
-from gridslam.types import OccupancyGrid, Trajectory
 
 
 @final
@@ -82,14 +81,6 @@ class Replay:
         """Add a viewer at the end of the run; `notify` is never called, as the content does not change."""
         return ReplayViewer(self)
 
-    def channel_map(self, channel: int) -> OccupancyGrid | None:
-        """Return the map, which all channels share."""
-        return self.results.grid
-
-    def trajectory(self, channel: int) -> Trajectory | None:
-        """Return the trajectory, which all channels share."""
-        return self.results.trajectory
-
 
 @final
 class ReplayViewer:
@@ -133,8 +124,6 @@ class ReplayViewer:
                 self._seek(min(max(int(command["at"]), 0), self._last))
             case "speed":
                 self._speed = check_speed(command["factor"]) or self._speed
-            case "select" if command["particle"] is None:
-                pass  # of who has chosen a particle before the run has finished
             case what:
                 raise ArgumentError("do", "pause, resume, step, seek or speed", what)
 
@@ -183,7 +172,6 @@ class ReplayViewer:
             "time_s": self._time_s,
             "total_s": float(results.times_s[-1]),
             "speed": self._speed,
-            "selected_particle": None,
         }
         if self._playing:
             status["stage"] = "looking" if status.get("looking") else "lost" if status.get("lost") else "running"

@@ -12,20 +12,17 @@ import numpy as np
 from gridslam.errors import ArgumentError
 from gridslam.geometry.angles import wrap
 from gridslam.live.ancestry_tree import NO_POINTS, Float32Array
-from gridslam.live.control import Control, check_particle, check_speed
+from gridslam.live.control import Control, check_speed
 from gridslam.live.history import History, PastMaps
-from gridslam.live.holds import Holds
-from gridslam.live.monitor import BEST
 from gridslam.live.observer import UNVIEWED_PERIOD_S, VIEWED_PERIOD_S, LiveObserver, Snapshot
 from gridslam.live.past import PastReader
 from gridslam.live.replay import Replay, ReplayViewer
 from gridslam.live.scene import MOST_MESSAGES, Frame, Scene, SentState, finite_or_none, make_run_info
 from gridslam.live.tiles import TileReplica, split_into_tiles
-from gridslam.types import FloatArray, LaserScan, OccupancyGrid, Trajectory
+from gridslam.types import FloatArray, LaserScan, OccupancyGrid
 
-_LIVE_SLAM = "map", "path", "ancestry", "particles", "weights", "scan", "closures", "n_eff", "latency"
+_LIVE_SLAM = "map", "path", "ancestry", "particles", "scan", "closures", "n_eff", "latency"
 _LIVE_LOCALIZATION = "map", "path", "particles", "scan", "n_eff", "latency", "lost_probability"
-_MAX_CHANNELS = 8
 _RATE_SNAPSHOTS = 12
 
 
@@ -63,8 +60,7 @@ class LiveRun:
         self._range_max_m = range_max_m
         self._known = known
         self._viewers: dict[LiveViewer, Callable[[], None]] = {}
-        self.holds = Holds(control)
-        self._channels = 0
+        self._initial_speed = control.speed
         self._messages: Sequence[Mapping[str, Any]] = ()
         self.is_robot = is_robot
         self._state: tuple[str, str] | None = None  # of a node: name and text
@@ -80,18 +76,16 @@ class LiveRun:
             self._run_info = make_run_info(self._title, mode, _LIVE_SLAM)
         else:
             self._run_info = make_run_info(self._title, mode, _LIVE_LOCALIZATION, "update", self._known)
-        self._replicas = {BEST: TileReplica() if self._known is None else TileReplica.of(self._known)}
-        self._rows = {BEST: 0}
+        self._replica = TileReplica() if self._known is None else TileReplica.of(self._known)
         self._stage = "waiting"
         self._status: dict[str, Any] = {"keys": 0, "scans": 0, "particles": 0}
         self._frame = Frame()
         self._scan = NO_POINTS
         self._history = History()
-        self._final_poses: FloatArray | None = None
         self._rate_window: deque[tuple[float, int, float]] = deque(maxlen=_RATE_SNAPSHOTS)
         self._last_scan: LaserScan | None = None
         for viewer in self._viewers:
-            viewer.show_best()
+            viewer.show_present()
         self.notify_viewers()
 
     def apply(self, snapshot: Snapshot) -> None:
@@ -100,10 +94,8 @@ class LiveRun:
         if self._stage == "waiting":
             self._run_info = {**self._run_info, "resolution_m": view.resolution_m}
             self._stage = "running"
-        for channel, changes in view.maps.items():
-            if channel in self._replicas:
-                self._replicas[channel].apply(changes)
-        self._rows = view.rows
+        if view.changes is not None:
+            self._replica.apply(view.changes)
         self._history = snapshot.history
         self._frame = view.make_frame()
         if snapshot.scan is not None and snapshot.scan is not self._last_scan:
@@ -113,11 +105,9 @@ class LiveRun:
 
     def finish(self, grid: OccupancyGrid, poses: FloatArray, closures: FloatArray) -> None:
         """Show the final result: the map, poses (T, 3) of the key scans, and ends (C, 4) of the loop closures, m."""
-        for replica in self._replicas.values():
-            replica.replace(split_into_tiles(grid))
+        self._replica.replace(split_into_tiles(grid))
         self._frame = Frame(poses[:, :2].astype(np.float32), closures=closures.astype(np.float32))
         self._scan = NO_POINTS
-        self._final_poses = poses
         self.set_stage("writing")
 
     def set_stage(self, stage: str) -> None:
@@ -143,9 +133,11 @@ class LiveRun:
         return viewer
 
     def remove_viewer(self, viewer: LiveViewer) -> None:
-        """Remove a viewer; its pause and its speed end with it."""
+        """Remove a viewer; with the last one pauses and speeds that viewers have set end."""
         self._viewers.pop(viewer, None)
-        self.holds.release(viewer)
+        if not self._viewers:
+            self.control.resume()
+            self.control.set_speed(self._initial_speed)
         self._count_viewers()
 
     @property
@@ -158,22 +150,6 @@ class LiveRun:
         self.replay = replay
         self.notify_viewers()
 
-    def channel_map(self, channel: int) -> OccupancyGrid:
-        """Return the map of a channel."""
-        if self._known is not None:
-            return self._known
-        resolution_m = self._run_info["resolution_m"] or 1.0
-        return self._replicas.get(channel, self._replicas[BEST]).grid(resolution_m)
-
-    def trajectory(self, channel: int) -> Trajectory | None:
-        """Return the poses at the key scans of the particle that a channel shows, where the robot was not lost."""
-        poses = self._final_poses
-        if poses is None:
-            poses = self._frame.poses.get(self._rows.get(channel, self._rows[BEST]), np.zeros((0, 3)))
-        stamps_ns = np.array(self._history.stamps_ns[: len(poses)], np.int64)
-        known = np.isfinite(poses[: len(stamps_ns), 0])
-        return Trajectory(stamps_ns[known], poses[: len(stamps_ns)][known]) if known.any() else None
-
     def show_session(self, name: str, drives: Sequence[str]) -> None:
         """Show the session that the run continues: the name of its file, and its drives."""
         goes_on = {"name": name, "drives": list(drives)}
@@ -181,27 +157,8 @@ class LiveRun:
             self._goes_on = goes_on
             self.notify_viewers()
 
-    def open_channel(self, particle: int) -> int:
-        """Open a channel for the map of a particle; raises ArgumentError if there is none, or too many are open."""
-        if self._known is not None:
-            raise ArgumentError("do", "something else, as all particles have one map", "select")
-        particle = check_particle(particle, self._status["particles"])
-        if len(self._replicas) > _MAX_CHANNELS:
-            raise ArgumentError("particle", f"at most {_MAX_CHANNELS} maps at once", "one more")
-        self._channels += 1
-        self._replicas[self._channels] = TileReplica()
-        self._rows[self._channels] = particle
-        self.observer.show_particle(self._channels, particle, self._status["keys"])
-        return self._channels
-
-    def close_channel(self, channel: int) -> None:
-        """Close a channel."""
-        if self._replicas.pop(channel, None) is not None:
-            self.observer.show_particle(channel, -1, 0)
-
-    def make_scene(self, channel: int) -> Scene:
-        """Return the current scene of a channel."""
-        row = self._rows.get(channel, -1)
+    def make_scene(self) -> Scene:
+        """Return the current scene."""
         stage, text = self._find_stage()
         status = {
             **self._status,
@@ -210,22 +167,16 @@ class LiveRun:
             "goes_on": self._goes_on,
             "speed": self.control.speed,
             "viewers": len(self._viewers),
-            "channel": channel,
             "shared": self._frame.shared,
             "last": max(self._status["keys"] - 1, 0),
-            "selected_particle": None if channel == BEST or stage in ("writing", "finished") else row,
         }
-        replica = self._replicas.get(channel, self._replicas[BEST])
-        past = None if channel == BEST else self._frame.poses.get(row)
-        selected = NO_POINTS if past is None else past[:, :2].astype(np.float32)
         return Scene(
             self._run_info,
             status,
-            replica,
+            self._replica,
             self._frame,
             self._series,
             self._scan,
-            selected=selected,
             messages=self._messages,
         )
 
@@ -247,7 +198,7 @@ class LiveRun:
         if past is None:
             return None
         status = {
-            **self.make_scene(BEST).status,
+            **self.make_scene().status,
             **self._history.describe(at),
             "past": True,
             "at": at,
@@ -260,7 +211,7 @@ class LiveRun:
             "real_time_factor": None,
             "bytes": None,
         }
-        replica = self._replicas[BEST] if self._known is not None else reader.replica
+        replica = self._replica if self._known is not None else reader.replica
         return Scene(self._run_info, status, replica, past.frame, self._series, past.scan, messages=self._messages)
 
     def find_reader(self, reader: PastReader | None) -> PastReader:
@@ -333,10 +284,9 @@ class LiveViewer:
     """A viewer of a run."""
 
     def __init__(self, run: LiveRun) -> None:
-        """Show the best particle's map."""
+        """Follow the run."""
         self._run = run
         self._sent = SentState()
-        self._channel = BEST
         self._at: int | None = None  # the key scan that is looked at; None: the newest
         self._reader: PastReader | None = None
         self._replaying: ReplayViewer | None = None  # once the run is finished
@@ -349,7 +299,7 @@ class LiveViewer:
         scene = None
         if self._at is not None and self._reader is not None:
             scene = self._run.make_past_scene(self._reader, self._at)
-        return self._sent.next_message(self._run.make_scene(self._channel) if scene is None else scene)
+        return self._sent.next_message(self._run.make_scene() if scene is None else scene)
 
     def command(self, command: Mapping[str, Any]) -> None:
         """Execute a command of the viewer; raises ArgumentError, KeyError or TypeError if it is invalid."""
@@ -359,31 +309,27 @@ class LiveViewer:
         run = self._run
         match command["do"]:
             case "pause" | "resume" | "step" | "speed" as what if run.is_robot:
-                raise ArgumentError("do", "seek or select, as a robot drives on", what)
+                raise ArgumentError("do", "seek, as a robot drives on", what)
             case "pause":
-                run.holds.pause(self)
+                run.control.pause()
             case "resume":
-                run.holds.resume()
+                run.control.resume()
             case "step":
-                run.holds.step(self, to_key_scan=bool(command.get("to_key_scan", True)))
+                run.control.step(to_key_scan=bool(command.get("to_key_scan", True)))
             case "speed":
-                run.holds.set_speed(self, check_speed(command["factor"]))
-            case "select":
-                self._select(command["particle"])
+                run.control.set_speed(check_speed(command["factor"]))
             case "seek":
                 self._seek(int(command["at"]))
             case what:
-                raise ArgumentError("do", "pause, resume, step, seek, speed or select", what)
+                raise ArgumentError("do", "pause, resume, step, seek or speed", what)
         run.notify_viewers()
 
     def close(self) -> None:
         """Remove the viewer."""
-        self._select(None)
         self._run.remove_viewer(self)
 
-    def show_best(self) -> None:
-        """Show the best particle's map, after the selected one has ceased to exist."""
-        self._channel = BEST
+    def show_present(self) -> None:
+        """Follow the run, whose past is another one now."""
         self._at = None
 
     def _seek(self, at: int) -> None:
@@ -391,11 +337,3 @@ class LiveViewer:
         self._at = None if at >= self._run.keys - 1 else max(at, 0)
         if self._at is not None:
             self._reader = self._run.find_reader(self._reader)
-
-    def _select(self, particle: int | None) -> None:
-        if self._channel != BEST:
-            self._run.close_channel(self._channel)
-        self._channel = BEST
-        if particle is not None:
-            self._at = None
-            self._channel = self._run.open_channel(particle)

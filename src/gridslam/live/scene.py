@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 import secrets
 from collections.abc import Mapping, Sequence
-from types import MappingProxyType
 from typing import Any, NamedTuple, final
 
 import numpy as np
@@ -17,7 +16,7 @@ from gridslam.live.ancestry_tree import NO_POINTS, NO_TREE, AncestryTree, Float3
 from gridslam.live.history import PastReplica, count_common
 from gridslam.live.protocol import STEP_NATS, encode, pack_tiles
 from gridslam.live.tiles import TileReplica, tile_offset
-from gridslam.types import FloatArray, OccupancyGrid
+from gridslam.types import OccupancyGrid
 
 _MAX_TILES = 1024
 MOST_MESSAGES = 100
@@ -44,8 +43,6 @@ class Frame(NamedTuple):
         End points x, y of each loop closure.
     shared : int
         Number of positions of `path`, from its first on, that all particles share; the tree begins at the last of them.
-    poses : mapping of int to (T, 3) float64
-        The poses of the shown particles at the key scans, by the particle's index.
     """
 
     path: Float32Array = NO_POINTS
@@ -53,7 +50,6 @@ class Frame(NamedTuple):
     particles: Float32Array = NO_PARTICLES
     closures: Float32Array = NO_CLOSURES
     shared: int = 0
-    poses: Mapping[int, FloatArray] = MappingProxyType({})
 
 
 @final
@@ -79,8 +75,6 @@ class Scene(NamedTuple):
         The future path of the robot; empty if unknown.
     landmarks : (L, 5) float32
         x m, y m, and covariance xx, xy, yy, m^2.
-    selected : (T, 2) float32, m
-        The path of the selected particle in full; empty if none is selected.
     truth : (P, 2) float32, m
         The true path of the robot; empty if unknown.
     messages : sequence of dict
@@ -95,7 +89,6 @@ class Scene(NamedTuple):
     scan: Float32Array = NO_POINTS
     plan: Float32Array = NO_POINTS
     landmarks: Float32Array = NO_LANDMARKS
-    selected: Float32Array = NO_POINTS
     truth: Float32Array = NO_POINTS
     messages: Sequence[Mapping[str, Any]] = ()
 
@@ -143,7 +136,7 @@ class SentState:
         self._messages: Sequence[Mapping[str, Any]] = ()
         self._replicas: dict[str, TileReplica | PastReplica] = {}
         self._numbers: dict[str, int] = {}
-        self._rows = {"path": NO_POINTS, "selected": NO_POINTS, "series": NO_SERIES}
+        self._rows = {"path": NO_POINTS, "series": NO_SERIES}
         self._arrays: dict[str, NDArray[Any]] = {}
 
     def next_message(self, scene: Scene) -> bytes | None:
@@ -160,7 +153,6 @@ class SentState:
             header["messages"] = self._messages = scene.messages
         self._add_tiles("", scene.replica, header, arrays)
         self._add_rows("path", scene.frame.path, header, arrays)
-        self._add_rows("selected", scene.selected, header, arrays)
         self._add_rows("series", scene.series, header, arrays)
         positions, parents, leaves = scene.frame.tree
         for parts in (

@@ -9,7 +9,7 @@ import re
 import secrets
 import socket
 import threading
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from pathlib import Path
 from typing import Any, Protocol, final
@@ -24,7 +24,7 @@ from starlette.types import ASGIApp, Message, Receive, Scope, Send
 from starlette.websockets import WebSocket
 
 from gridslam.errors import OutputError
-from gridslam.live.downloads import DownloadableContent, is_authorized, is_foreign, make_download_routes
+from gridslam.live.access import is_authorized, is_foreign
 from gridslam.live.edits import EditsFile, make_edit_route
 from gridslam.live.options import LiveOptions
 from gridslam.live.viewing import Viewer, ViewerLine, serve_viewer
@@ -47,7 +47,7 @@ _MOST_VIEWERS = 20
 _MOST_CONNECTIONS = 100
 
 
-class PageContent(DownloadableContent, Protocol):
+class PageContent(Protocol):
     """Content of the page; used by one thread of the server only, which is not the one that answers requests."""
 
     def add_viewer(self, notify: Callable[[], None]) -> Viewer:
@@ -79,9 +79,7 @@ class PageServer:
         self._content_thread = ThreadPoolExecutor(1, "gridslam-live-content")
         self._options = options
         self._token = None if options.is_local else os.environ.get(_TOKEN) or secrets.token_urlsafe(12)
-        routes = make_download_routes(content, self._token, self._content_thread)
-        if edits is not None:
-            routes.append(make_edit_route(edits, self._token))
+        routes = [] if edits is None else [make_edit_route(edits, self._token)]
         config = uvicorn.Config(
             _make_application(content, options.host, self._token, self._content_thread, routes),
             http="h11",
@@ -173,7 +171,7 @@ def _raise_again(call: Future[None]) -> None:
 
 
 def _make_application(
-    content: PageContent, host: str, token: str | None, thread: ThreadPoolExecutor, files: list[BaseRoute]
+    content: PageContent, host: str, token: str | None, thread: ThreadPoolExecutor, files: Sequence[BaseRoute]
 ) -> ASGIApp:
     """Return the page of a show, for everyone who has the token; without one for requests to this very host alone."""
     joining = asyncio.Lock()

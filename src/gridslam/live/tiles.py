@@ -9,34 +9,14 @@ from typing import final
 import numpy as np
 from numpy.typing import NDArray
 
-from gridslam.grid.cells import LOG_ODDS_UNIT, cell_corner
+from gridslam.grid.cells import LOG_ODDS_UNIT
 from gridslam.grid.tiles import TileMaps
 from gridslam.kernels import TILE, UNKNOWN
 from gridslam.live.protocol import levels
-from gridslam.types import FloatArray, Int32Array, IntArray, OccupancyGrid
+from gridslam.types import Int32Array, IntArray, OccupancyGrid
 
 _UNKNOWN_TILE: NDArray[np.int16] = np.full((TILE, TILE), UNKNOWN, np.int16)
 _UNKNOWN_LEVELS: NDArray[np.uint8] = np.zeros((TILE, TILE), np.uint8)
-_MARGIN_M = 2 * TILE * 0.05  # deskewing may move the end point of a beam this far
-
-
-@final
-@dataclass(frozen=True, slots=True, eq=False)
-class Box:
-    """A rectangle of the map frame in which maps may have changed: its corners (2,), x and y in m."""
-
-    low: FloatArray
-    high: FloatArray
-
-    @classmethod
-    def around(cls, poses: FloatArray, reach_m: float) -> Box:
-        """Return the box that scans of this reach from poses (K, 3), K >= 1, can have changed."""
-        reach = reach_m + _MARGIN_M
-        return cls(poses[:, :2].min(axis=0) - reach, poses[:, :2].max(axis=0) + reach)
-
-
-EMPTY_BOX = Box(np.ones(2), -np.ones(2))
-"""A box that contains nothing."""
 
 
 @final
@@ -58,39 +38,35 @@ class TileChanges:
 
 @final
 class TileChangeDetector:
-    """Detects the changes of one map since the last call; used by the filter's thread only.
+    """Detects the changes of the map of one particle since the last call; used by the filter's thread only.
 
-    Tiles are shared and copied on write: a tile may have changed if its id in the table changed, or if it lies where
-    some particle's map was updated since then.
+    It owns that map until the next call: the filter copies a tile before it writes to it, so that only tiles that have
+    another id by then can have changed.
     """
 
-    __slots__ = ("_corner", "_ids")
+    __slots__ = ("_corner", "_ids", "_owned")
 
     def __init__(self) -> None:
         """Start with an empty map."""
         self._ids: Int32Array = np.zeros((1, 1), np.int32)
         self._corner = (0, 0)
+        self._owned: TileMaps | None = None
 
-    def find_changes(self, maps: TileMaps, row: int, written: Box | None) -> TileChanges:
-        """Copy the tiles of map `row` that may have changed.
+    def forget(self) -> None:
+        """Give the map back; all tiles may have changed by the next call."""
+        self._owned = None
 
-        `written` marks the tiles written since the last look; None where that is unknown, or where these are
-        other maps than those looked at before.
-        """
+    def find_changes(self, maps: TileMaps, row: int) -> TileChanges:
+        """Copy the tiles of map `row` that may have changed; all of them where these are other maps than before."""
+        is_same = self._owned is not None and maps.shares_tiles(self._owned)
         now = maps.tile_ids(row)
         ids, before, origin = _align(now, (self._ids, self._corner))
         self._ids, self._corner = now
-        changed = ids != before
-        if written is None:
-            changed |= ids != 0
-        else:
-            side = TILE * maps.resolution_m
-            low = np.maximum((written.low[::-1] // side).astype(int) - origin, 0)
-            high = np.maximum((written.high[::-1] // side).astype(int) + 1 - origin, 0)
-            inside = slice(low[0], high[0]), slice(low[1], high[1])
-            changed[inside] |= ids[inside] != 0
+        changed = ids != before if is_same else (ids != before) | (ids != 0)
         at = (np.argwhere(changed) + origin).astype(np.int32)
-        return TileChanges(at, maps.tiles(ids[changed]))
+        tiles = maps.tiles(ids[changed])
+        self._owned = maps.snapshot(np.array([row]))
+        return TileChanges(at, tiles)
 
 
 def _align(*tables: tuple[Int32Array, tuple[int, int]]) -> tuple[Int32Array, Int32Array, IntArray]:
@@ -112,12 +88,11 @@ def _align(*tables: tuple[Int32Array, tuple[int, int]]) -> tuple[Int32Array, Int
 class TileReplica:
     """A copy of one map, built from its changes; each visible change of a tile gets the next sequence number."""
 
-    __slots__ = ("_levels", "_numbers", "_tiles", "sequence")
+    __slots__ = ("_levels", "_numbers", "sequence")
 
     def __init__(self) -> None:
         """Start with an empty map."""
-        self._tiles: dict[tuple[int, int], NDArray[np.int16]] = {}  # by row and column
-        self._levels: dict[tuple[int, int], NDArray[np.uint8]] = {}  # of those that are visible
+        self._levels: dict[tuple[int, int], NDArray[np.uint8]] = {}  # of visible tiles, by row and column
         self._numbers: dict[tuple[int, int], int] = {}  # in ascending order
         self.sequence = 0
 
@@ -131,8 +106,7 @@ class TileReplica:
     def apply(self, changes: TileChanges) -> None:
         """Apply changed tiles; those without a visible change get no new number."""
         looks = levels(changes.log_odds)
-        for (row, column), cells, look in zip(changes.at.tolist(), changes.log_odds, looks, strict=True):
-            self._tiles[row, column] = cells.copy()
+        for (row, column), look in zip(changes.at.tolist(), looks, strict=True):
             if not np.array_equal(look, self._levels.get((row, column), _UNKNOWN_LEVELS)):
                 self._levels[row, column] = look.copy()
                 self.sequence += 1
@@ -141,7 +115,7 @@ class TileReplica:
 
     def replace(self, changes: TileChanges) -> None:
         """Replace the whole map by these tiles."""
-        gone = list(self._tiles.keys() - set(map(tuple, changes.at.tolist())))
+        gone = list(self._levels.keys() - set(map(tuple, changes.at.tolist())))
         unknown = np.broadcast_to(_UNKNOWN_TILE, (len(gone), TILE, TILE))
         self.apply(TileChanges(np.array(gone, np.int32).reshape(-1, 2), unknown))
         self.apply(changes)
@@ -156,22 +130,6 @@ class TileReplica:
         at = [at for at, _ in newer[:most]]
         looks = np.array([self._levels[one] for one in at], np.uint8).reshape(-1, TILE, TILE)
         return np.array(at, np.int32).reshape(-1, 2), looks, last
-
-    def grid(self, resolution_m: float) -> OccupancyGrid:
-        """Return the map as a rectangle around its known tiles; a single unknown cell if there are none."""
-        used = {at: cells for at, cells in self._tiles.items() if (cells != UNKNOWN).any()}
-        if not used:
-            return OccupancyGrid(np.zeros((1, 1), np.float32), np.zeros((1, 1), np.bool_), resolution_m, (0.0, 0.0))
-        at = np.array(list(used))
-        low = at.min(axis=0)
-        high = at.max(axis=0) + 1
-        blocks = np.full((*(high - low), TILE, TILE), UNKNOWN, np.int16)
-        blocks[tuple((at - low).T)] = list(used.values())
-        cells = blocks.swapaxes(1, 2).reshape(int(high[0] - low[0]) * TILE, -1)
-        known = cells != UNKNOWN
-        log_odds = np.where(known, cells, 0).astype(np.float32) * np.float32(LOG_ODDS_UNIT)
-        row, column = (low * TILE).tolist()
-        return OccupancyGrid(log_odds, known, resolution_m, cell_corner(row, column, resolution_m))
 
 
 def tile_offset(grid: OccupancyGrid) -> tuple[float, float]:

@@ -6,7 +6,7 @@ It tracks p(x_t | z_1:t, u_1:t, m). A Gaussian has one peak, so it needs to know
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from typing import final
 
 import numpy as np
@@ -15,13 +15,10 @@ from numpy.typing import ArrayLike
 from gridslam.arguments import freeze
 from gridslam.errors import ArgumentError
 from gridslam.geometry.angles import wrap
+from gridslam.localization.systematic_errors import ERRORS, NO_ERRORS, SystematicErrors, linearize
 from gridslam.models.association import Association, KnownCorrespondence
-from gridslam.models.landmark import LandmarkModel, LandmarkObservations, RangeBearing, linearize_calibrated
-from gridslam.models.systematic_errors import NO_ERRORS, SystematicErrors
+from gridslam.models.landmark import LandmarkModel, LandmarkObservations, RangeBearing
 from gridslam.types import FloatArray, IntArray, MotionSampler
-
-_FORGOTTEN = 5.0
-"""Time constants after which the errors of a landmark that is not seen are forgotten: less than 1 % of them is left."""
 
 
 @final
@@ -59,25 +56,16 @@ class KnownLandmarks:
 @final
 @dataclass(frozen=True, slots=True, eq=False)
 class PoseGaussian:
-    """The belief: a Gaussian over the pose, the systematic errors, and the correlated errors of each landmark.
+    """The belief: a Gaussian over the pose and the systematic errors.
 
     Attributes
     ----------
-    mean : (3 + B + 2 A,) float64
-        Pose [x m, y m, theta rad], map frame, the B systematic errors, and for each of A landmarks the two errors that
-        its observations have at the time, in their standard deviations.
-    whole_covariance : (3 + B + 2 A, 3 + B + 2 A) float64
-        Of all.
-    seen : (A,) int64
-        Which landmarks of the map these are: those seen lately, if errors are correlated in time.
-    unseen_s : (A,) float64, s
-        Time since each was seen.
+    mean, whole_covariance : (8,), (8, 8) float64
+        Of the pose [x m, y m, theta rad], map frame, and the systematic errors.
     """
 
     mean: FloatArray
     whole_covariance: FloatArray
-    seen: IntArray = field(default_factory=lambda: np.empty(0, np.int64))
-    unseen_s: FloatArray = field(default_factory=lambda: np.empty(0))
 
     @property
     def pose(self) -> FloatArray:
@@ -135,8 +123,7 @@ class EkfLocalization:
     twice in one step). The tables correct by one observation after the other; here all observations of a step are used
     at once: the same for a linear model, and otherwise independent of their order.
 
-    Y. Bar-Shalom and T. Fortmann, Tracking and Data Association (1988), for unknown correspondences; A. Gelb, Applied
-    Optimal Estimation (1974), 3.8 (the Gauss-Markov process of a landmark's errors).
+    Y. Bar-Shalom and T. Fortmann, Tracking and Data Association (1988), for unknown correspondences.
     """
 
     landmarks: KnownLandmarks
@@ -155,11 +142,10 @@ class EkfLocalization:
             raise ArgumentError("pose", "finite x, y, theta", mean.tolist())
         if not np.isfinite(spread).all() or not np.allclose(spread, spread.T) or np.linalg.eigvalsh(spread)[0] < 0:
             raise ArgumentError("covariance", "a symmetric matrix without negative eigenvalue", spread.tolist())
-        errors = len(self.bias)
-        whole = np.zeros((3 + errors, 3 + errors))
+        whole = np.zeros((3 + ERRORS, 3 + ERRORS))
         whole[:3, :3] = spread
         whole[3:, 3:] = self.bias.covariance()
-        return PoseGaussian(np.array([mean[0], mean[1], wrap(float(mean[2])), *np.zeros(errors)]), whole)
+        return PoseGaussian(np.array([mean[0], mean[1], wrap(float(mean[2])), *np.zeros(ERRORS)]), whole)
 
     def step(
         self, belief: PoseGaussian, motion: MotionSampler, observations: LandmarkObservations
@@ -180,7 +166,6 @@ class EkfLocalization:
             The association needs correspondences that the observations do not contain.
         """
         belief = self._predict(belief, motion)
-        belief = self._fade(belief, observations.passed_s)
         if not len(observations):
             return belief, EkfLocalizationReport(belief.pose, belief.covariance, np.empty(0, np.int64), 0.0)
         noise = self.sensor.noise(observations)
@@ -192,63 +177,8 @@ class EkfLocalization:
 
     def _predict(self, belief: PoseGaussian, motion: MotionSampler) -> PoseGaussian:
         """Table 7.2, lines 2 to 7."""
-        own = slice(self._own)
-        P = belief.whole_covariance.copy()
-        (moved,), (G,), (R,) = self.bias.predict(motion, belief.mean[None, own])
-        P[own] = G @ P[own]
-        P[:, own] = P[:, own] @ G.T
-        P[own, own] += R
-        return replace(belief, mean=np.concatenate([moved, belief.mean[self._own :]]), whole_covariance=P)
-
-    @property
-    def _own(self) -> int:
-        """Number 3 + B of the pose and the systematic errors."""
-        return 3 + len(self.bias)
-
-    def _fade(self, belief: PoseGaussian, passed_s: float) -> PoseGaussian:
-        """Let the errors of landmarks fade, a first-order Gauss-Markov process each, and forget those that have."""
-        if not len(belief.seen) or passed_s <= 0:
-            return belief
-        unseen_s = belief.unseen_s + passed_s
-        kept = unseen_s < _FORGOTTEN * self.sensor.correlation_s
-        rows = np.concatenate([np.ones(self._own, np.bool_), np.repeat(kept, 2)])
-        share = math.exp(-passed_s / self.sensor.correlation_s)
-        shares = np.where(np.arange(len(rows)) < self._own, 1.0, share)
-        P = shares[:, None] * belief.whole_covariance * shares + np.diag(1 - shares**2)
-        return PoseGaussian((shares * belief.mean)[rows], P[np.ix_(rows, rows)], belief.seen[kept], unseen_s[kept])
-
-    def _see(self, belief: PoseGaussian, places: IntArray) -> PoseGaussian:
-        """Add the errors of landmarks (K,) that were not seen lately: of them nothing is known but their variance."""
-        if not self.sensor.correlated_share:
-            return belief
-        seen = np.append(belief.seen, places[~np.isin(places, belief.seen)])
-        added = 2 * (len(seen) - len(belief.seen))
-        P = np.eye(len(belief.mean) + added)
-        P[: len(belief.mean), : len(belief.mean)] = belief.whole_covariance
-        unseen_s = np.append(belief.unseen_s, np.zeros(added // 2))
-        unseen_s[np.isin(seen, places)] = 0.0
-        return PoseGaussian(np.append(belief.mean, np.zeros(added)), P, seen, unseen_s)
-
-    def _linearize(
-        self, belief: PoseGaussian, places: IntArray, noise: FloatArray
-    ) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """Predicted observations (K, 2) of landmarks (K,), H (K, 2, n), and the covariance (K, 2, 2) of the rest.
-
-        `noise` (K, 2, 2) is the covariance of the error of each. What a landmark's errors have in common is of the
-        state where that landmark was seen lately, and of the rest otherwise.
-        """
-        calibration = self.bias.calibration(belief.mean[3 : self._own])
-        landmarks = self.landmarks.positions[places]
-        predicted, H_x, _, H_c = linearize_calibrated(self.sensor, belief.pose, landmarks, calibration)
-        H = np.zeros((*predicted.shape, len(belief.mean)))
-        H[..., : self._own] = np.concatenate([H_x, self.bias.by_calibration(H_c)], axis=-1)
-        share = self.sensor.correlated_share
-        which, at = np.nonzero(places[:, None] == belief.seen)
-        columns = self._own + 2 * at[:, None] + np.arange(2)
-        H[which[:, None], :, columns] = np.linalg.cholesky(share * noise[which]).swapaxes(1, 2) if len(which) else 0.0
-        rest = noise.copy()
-        rest[which] *= 1 - share
-        return predicted + (H[..., self._own :] @ belief.mean[self._own :]), H, rest
+        moved, G, R = self.bias.predict(motion, belief.mean)
+        return PoseGaussian(moved, G @ belief.whole_covariance @ G.T + R)
 
     def _correspondences(
         self, belief: PoseGaussian, observations: LandmarkObservations, noise: FloatArray
@@ -259,11 +189,9 @@ class EkfLocalization:
         probabilities, and their spread about it is noise (probabilistic data association). So it also returns the
         observations (K, 2) of these landmarks that have such innovations, and the covariances (K, 2, 2) of that noise.
         """
-        every = np.arange(len(self.landmarks.names))
-        parts = [self._linearize(belief, every, np.repeat(one[None], len(every), axis=0)) for one in noise]
-        predicted, H, rest = (np.array(column) for column in zip(*parts, strict=True))
+        predicted, H = linearize(self.sensor, belief.mean, self.landmarks.positions)
         innovations = self.sensor.residual(observations.values[:, None], predicted)
-        S = H @ belief.whole_covariance @ H.swapaxes(-1, -2) + rest
+        S = H @ belief.whole_covariance @ H.swapaxes(-1, -2) + noise[:, None]
         distances = np.einsum("kmi,kmij,kmj->km", innovations, np.linalg.inv(S), innovations)
         log_dets = np.linalg.slogdet(S)[1]
         places = self.association(observations, self.landmarks.names, distances, log_dets)
@@ -284,13 +212,12 @@ class EkfLocalization:
         """Table 7.2, lines 11 to 21, for K observations: P - K S K' = P - W' W with W = L^-1 H P, S = L L'."""
         if not (count := len(places)):
             return belief, 0.0
-        belief = self._see(belief, places)
-        predicted, H, rest = self._linearize(belief, places, noise)
+        predicted, H = linearize(self.sensor, belief.mean, self.landmarks.positions[places])
         residuals = self.sensor.residual(measured, predicted).ravel()
         P = belief.whole_covariance
         H = H.reshape(-1, len(P))
         S = (H @ P @ H.T).reshape(count, 2, count, 2)
-        S[np.arange(count), :, np.arange(count)] += rest + spread
+        S[np.arange(count), :, np.arange(count)] += noise + spread
         L = np.linalg.cholesky(S.reshape(2 * count, 2 * count))
         W = np.linalg.solve(L, H @ P)
         whitened = np.linalg.solve(L, residuals)
@@ -298,4 +225,4 @@ class EkfLocalization:
         mean[2] = wrap(float(mean[2]))
         log_likelihood = -0.5 * float(whitened @ whitened) - count * math.log(2 * math.pi)
         log_likelihood -= float(np.log(np.diagonal(L)).sum())
-        return replace(belief, mean=mean, whole_covariance=P - W.T @ W), log_likelihood
+        return PoseGaussian(mean, P - W.T @ W), log_likelihood

@@ -12,7 +12,6 @@ from numpy.typing import NDArray
 
 from gridslam.checked import checked
 from gridslam.geometry.single_pose import Information, Pose
-from gridslam.grid.scan_batch import ScanBatch
 from gridslam.grid.tiles import TileMaps
 from gridslam.kernels.reference_update import Int32Array
 from gridslam.parameters import bounded, parameters
@@ -97,14 +96,6 @@ class GaussNewton:
         """Match the scan to map `row` from one guess: as by a call with K = 1, but without an array for each number."""
         passes = self.max_iterations if len(beams) >= self.min_beams else 0
         return PoseMatch(*maps.match_pose(row, guess, prior, beams.ends, passes, *self._settings(maps)))
-
-    def match_scans(
-        self, maps: TileMaps, guesses: Poses, prior: Annotated[FloatArray, 3, 3], batch: ScanBatch
-    ) -> Match:
-        """Match each scan of a batch to the one map from its guess, (K, 3), with prior information (3, 3)."""
-        return Match(
-            *maps.match_scans(guesses, prior, batch, self.max_iterations, *self._settings(maps), self.min_beams)
-        )
 
     def _settings(self, maps: TileMaps) -> tuple[float | bool, ...]:
         """Return the arguments of the kernels, in cells of the maps."""

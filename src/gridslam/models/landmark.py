@@ -6,7 +6,7 @@ dimensions of the two broadcast, so one call serves all particles and all landma
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from enum import Enum
 from typing import Protocol, TypeAlias, final, runtime_checkable
@@ -44,14 +44,11 @@ class LandmarkObservations:
         The signature of each, by which it is known again; None where nothing is known. No two are the same.
     covariances : (K, 2, 2) float64 or None
         Covariance of each measurement, if the log contains them; they take precedence over the measurement model's.
-    passed_s : float, s, >= 0
-        Time since the step before, by which errors that are correlated in time fade.
     """
 
     values: FloatArray
     landmarks: IntArray | None = None
     covariances: FloatArray | None = None
-    passed_s: float = 0.0
 
     @classmethod
     def of(
@@ -119,20 +116,7 @@ _Row: TypeAlias = Sequence[FloatArray | float]
 
 @runtime_checkable
 class LandmarkModel(Protocol):
-    """p(z | x, m) = N(z; h(x, m), Q) for one landmark m.
-
-    A share of Q is of an error that each landmark has for a while: a first-order Gauss-Markov process.
-    """
-
-    @property
-    def correlated_share(self) -> float:
-        """Share of Q, in [0, 1)."""
-        ...
-
-    @property
-    def correlation_s(self) -> float:
-        """Time constant of its error, s."""
-        ...
+    """p(z | x, m) = N(z; h(x, m), Q) for one landmark m."""
 
     def linearize(self, poses: FloatArray, landmarks: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
         """h (..., 2) and its Jacobians by the pose, (..., 2, 3), and by the landmark, (..., 2, 2)."""
@@ -162,8 +146,6 @@ class RangeBearing:
         A monocular camera that measures a barcode's height at some metres errs by one or two tenths.
     sigma_bearing_rad : float, rad, > 0
         1 degree: some pixels of a camera, with the pose's jitter between picture and odometry.
-    correlated_share, correlation_s : float
-        As for `DepthBearing`; by default all errors are independent.
 
     References
     ----------
@@ -172,8 +154,6 @@ class RangeBearing:
 
     sigma_range_m: float = bounded(0.15, gt=0)
     sigma_bearing_rad: float = bounded(0.02, gt=0)
-    correlated_share: float = bounded(0.0, ge=0, lt=1)
-    correlation_s: float = bounded(1.0, gt=0)
 
     def linearize(self, poses: FloatArray, landmarks: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
         """[range m, bearing rad] and its Jacobians; a landmark must not lie where the robot is."""
@@ -217,20 +197,13 @@ class DepthBearing:
         Times the square of the depth: a mark at depth d is f H / d pixels high, so a pixel of its height is d^2 / (f H)
         of depth. The depths in MRCLAM's files are 0.0035 d^2 apart, as 7.05, 7.23 and 7.43 m.
     sigma_bearing_rad : float, rad, > 0
-        Some pixels.
-    correlated_share : float, [0, 1)
-        Share of both variances that is of a landmark's own error, which fades with the time: in one pass the robot sees
-        a mark from about one side, with one slant of its camera.
-    correlation_s : float, s, > 0
-        Time constant of this error. Of the cameras of MRCLAM 6, robots 1 and 3, the correlation of two residuals of one
-        mark falls from 0.5 at 1 s to 0.3 at 7 s and 0.1 at 20 s: measured against the truth, as are the sigmas.
+        Some pixels. Both sigmas are twice what MRCLAM's cameras have against the truth: in one pass a robot sees a mark
+        from about one side, so errors of successive observations are alike, and the filters take them as independent.
     """
 
-    sigma_depth_m: float = bounded(0.05, gt=0)
+    sigma_depth_m: float = bounded(0.1, gt=0)
     sigma_depth_per_m: float = bounded(0.002, ge=0)
-    sigma_bearing_rad: float = bounded(0.01, gt=0)
-    correlated_share: float = bounded(0.5, ge=0, lt=1)
-    correlation_s: float = bounded(15.0, gt=0)
+    sigma_bearing_rad: float = bounded(0.02, gt=0)
 
     def linearize(self, poses: FloatArray, landmarks: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
         """[depth m, bearing rad] and its Jacobians; a landmark must not lie where the robot is."""
@@ -270,14 +243,10 @@ class RelativePosition:
     ----------
     sigma_x_m, sigma_y_m : float, m, > 0
         0.6 m is the value of the Victoria Park file for tree trunks seen by a laser from up to 20 m.
-    correlated_share, correlation_s : float
-        As for `DepthBearing`; by default all errors are independent.
     """
 
     sigma_x_m: float = bounded(0.6, gt=0)
     sigma_y_m: float = bounded(0.6, gt=0)
-    correlated_share: float = bounded(0.0, ge=0, lt=1)
-    correlation_s: float = bounded(1.0, gt=0)
 
     def linearize(self, poses: FloatArray, landmarks: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
         """[x m, y m] in the robot's frame and its Jacobians."""
@@ -300,54 +269,6 @@ class RelativePosition:
     def noise(self, observations: LandmarkObservations) -> FloatArray:
         """Q (K, 2, 2) [m^2] of K observations."""
         return _noise(observations, self.sigma_x_m, self.sigma_y_m)
-
-
-def linearize_calibrated(
-    sensor: LandmarkModel, poses: FloatArray, landmarks: FloatArray, calibration: FloatArray
-) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
-    """h, H_x and H_m as by `sensor.linearize`, for a sensor with systematic errors; and H_c (..., 2, 2) by these.
-
-    Parameters
-    ----------
-    calibration : (..., 2) float64
-        How far the sensor is ahead of the robot's center, m, and the share by which it takes ranges for too long: the
-        landmark is measured as if it were at s + (1 + scale) (m - s), s being where the sensor is.
-    """
-    c = np.cos(poses[..., 2])
-    s = np.sin(poses[..., 2])
-    ahead = np.stack([c, s], axis=-1)
-    left = np.stack([-s, c], axis=-1)
-    mounted = calibration[..., :1]
-    scale = 1.0 + calibration[..., 1:]
-    at = poses[..., :2] + mounted * ahead
-    sensors = np.concatenate([at, poses[..., 2:]], axis=-1)
-    relative = landmarks - at
-    predicted, H_x, H_m = sensor.linearize(sensors, at + scale * relative)
-    by_scale = (H_m @ relative[..., None])[..., 0]
-    H_m = H_m * scale[..., None]
-    H_x[..., :2] = -H_m  # only where the landmark is relative to the sensor makes a difference
-    H_x[..., 2] -= mounted * (H_m @ left[..., None])[..., 0]
-    by_mounting = -(H_m @ ahead[..., None])[..., 0]
-    return predicted, H_x, H_m, np.stack([by_mounting, by_scale], axis=-1)
-
-
-def locate_calibrated(
-    sensor: LandmarkModel, poses: FloatArray, measured: FloatArray, calibration: FloatArray
-) -> FloatArray:
-    """Return where the landmark (..., 2) is that is measured so by a sensor with systematic errors (..., 2)."""
-    ahead = np.stack([np.cos(poses[..., 2]), np.sin(poses[..., 2])], axis=-1)
-    at = poses[..., :2] + calibration[..., :1] * ahead
-    sensors = np.concatenate([at, poses[..., 2:]], axis=-1)
-    return np.asarray(at + (sensor.locate(sensors, measured) - at) / (1.0 + calibration[..., 1:]))
-
-
-def with_durations(steps: Iterable[LandmarkStep]) -> Iterator[LandmarkStep]:
-    """Yield the steps with the time since the previous step in their observations, by the stamps."""
-    before_ns: int | None = None
-    for step in steps:
-        passed_s = 0.0 if before_ns is None else max(1e-9 * (step.stamp_ns - before_ns), 0.0)
-        before_ns = step.stamp_ns
-        yield replace(step, observations=replace(step.observations, passed_s=passed_s))
 
 
 def offset(poses: FloatArray, landmarks: FloatArray) -> tuple[FloatArray, FloatArray]:

@@ -1,4 +1,4 @@
-"""Alignment of a map with another or with a plan: by their walls, without a first guess, or by pairs of points."""
+"""Alignment of a map with another or with a plan, by their walls, without a first guess."""
 
 from __future__ import annotations
 
@@ -87,26 +87,6 @@ def _count_close(found: Alignment, moved: SurfacePoints, fixed: SurfacePoints) -
 def _select_some(points: SurfacePoints) -> SurfacePoints:
     chosen = points.select(np.linspace(0, len(points) - 1, min(len(points), _MOST_POINTS)).astype(np.int64))
     return SurfacePoints(chosen.positions, chosen.normals, chosen.weights.clip(max=20.0))
-
-
-def fit_pairs(moved: FloatArray, fixed: FloatArray) -> tuple[Alignment, FloatArray]:
-    """Fit motion and scale to pairs of points, by least squares; and the distances (P,) that are left.
-
-    Source: Umeyama, Least-squares estimation of transformation parameters between two point patterns, PAMI 1991; in
-    the plane by complex numbers.
-
-    Parameters
-    ----------
-    moved, fixed : (P, 2) float64, m
-        At least two places of each, which are apart.
-    """
-    here, there = (points @ np.array([1, 1j]) for points in (moved, fixed))
-    apart = here - here.mean()
-    factor = np.vdot(apart, there - there.mean()) / np.vdot(apart, apart).real
-    shift = there.mean() - factor * here.mean()
-    left = np.abs(factor * here + shift - there)
-    pose = np.array([shift.real, shift.imag, np.angle(factor)])
-    return Alignment(pose, float(np.sqrt(np.mean(left**2))), 1.0, float(np.abs(factor))), left
 
 
 def _find_headings(moved: SurfacePoints, fixed: SurfacePoints, is_drawn: bool) -> FloatArray:

@@ -1,17 +1,21 @@
-"""Changes between two maps of a building: removed and new objects."""
+"""Changes between two maps of a building, removed and new objects, and their files."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import final
+from pathlib import Path
+from typing import Any, final
 
 import numpy as np
+from PIL import Image, ImageDraw
 
 from gridslam.geometry import se2
+from gridslam.io.geojson import format_features
 from gridslam.plan.alignment import Alignment
-from gridslam.plan.rasters import BoolArray, Raster, make_raster
-from gridslam.plan.untyped import ndimage
+from gridslam.plan.rasters import BoolArray
+from gridslam.plan.untyped import ndimage, require_map_extra
 from gridslam.types import FloatArray, OccupancyGrid
+from gridslam.viz.canvas import FREE, OCCUPIED, UNKNOWN, Colour
 
 _NEAR_M = 0.12
 """Obstacles within this distance of earlier ones are the same: walls are drawn two cells thick."""
@@ -20,6 +24,9 @@ _LEAST_OPEN = 0.4
 """Of the cells about one that must be free on the other day, lest a single beam makes a change."""
 _JOIN_M = 0.5
 """Edges of one piece of furniture are no farther apart: not all of its sides are seen."""
+_ONE_DAY: Colour = (244, 238, 214)
+_COLOURS: dict[str, Colour] = {"gone": (214, 40, 40), "new": (0, 130, 90)}
+_LONGEST_PX = 4000
 
 
 @final
@@ -34,18 +41,15 @@ class Change:
     cells : (N, 2) float64, m
         Middles of the cells that are occupied on one day and free on the other, in the frame of the first map.
     outline : (4, 2) float64, m
-        The rectangle about them, anticlockwise.
+        The smallest rectangle about them, anticlockwise, in the frame of the first map.
+    area_m2 : float
+        Area of the rectangle; of a piece that was seen from one side, of that side alone.
     """
 
     kind: str
     cells: FloatArray
     outline: FloatArray
-
-    @property
-    def area_m2(self) -> float:
-        """Area of the rectangle; of a piece that was seen from one side, of that side alone."""
-        sides = np.hypot(*(self.outline[1:3] - self.outline[:2]).T)
-        return float(sides[0] * sides[1])
+    area_m2: float
 
 
 @final
@@ -57,22 +61,21 @@ class Changes:
     ----------
     changes : tuple of Change
         The largest first.
-    first, second : Raster
+    first, second : OccupancyGrid
         Both maps in the cells of the first.
     alignment : Alignment
         How the second lies on the first.
     """
 
     changes: tuple[Change, ...]
-    first: Raster
-    second: Raster
+    first: OccupancyGrid
+    second: OccupancyGrid
     alignment: Alignment
 
     @property
     def both_m2(self) -> float:
         """Area that both maps know."""
-        known = [raster.free | raster.occupied for raster in (self.first, self.second)]
-        return float((known[0] & known[1]).sum()) * self.first.cell_m**2
+        return float((self.first.known & self.second.known).sum()) * self.first.resolution_m**2
 
 
 def find_changes(first: OccupancyGrid, second: OccupancyGrid, alignment: Alignment) -> Changes:
@@ -80,57 +83,86 @@ def find_changes(first: OccupancyGrid, second: OccupancyGrid, alignment: Alignme
 
     A piece of furniture is seen as edges: those within half a metre are one's, and a rectangle is laid about them.
     """
-    before = make_raster(first)
-    after = _resample(make_raster(second), before, alignment.pose)
-    found = [*_find_gone("gone", before, after), *_find_gone("new", after, before)]
-    return Changes(tuple(sorted(found, key=lambda change: -change.area_m2)), before, after, alignment)
+    after = _resample(second, first, alignment.pose)
+    found = [*_find_gone("gone", first, after), *_find_gone("new", after, first)]
+    return Changes(tuple(sorted(found, key=lambda change: -change.area_m2)), first, after, alignment)
 
 
-def _resample(raster: Raster, onto: Raster, pose: FloatArray) -> Raster:
-    """A raster in the cells of another one, by the nearest cell; unknown beyond its own."""
-    height, width = onto.free.shape
-    cells = np.column_stack([grid.reshape(-1) for grid in np.indices((height, width))])
-    places = se2.transform_points(se2.inverse(pose), onto.points(cells))
-    column, row = np.floor((places - raster.origin) / raster.cell_m).astype(np.int64).T
-    inside = (row >= 0) & (column >= 0) & (row < raster.free.shape[0]) & (column < raster.free.shape[1])
-    taken = []
-    for own in (raster.free, raster.occupied, raster.furniture):
-        values = np.zeros(height * width, np.bool_)
-        values[inside] = own[row[inside], column[inside]]
-        taken.append(values.reshape(height, width))
-    return Raster(taken[0], taken[1], taken[2], onto.cell_m, onto.origin)
+def _resample(grid: OccupancyGrid, onto: OccupancyGrid, pose: FloatArray) -> OccupancyGrid:
+    """A map in the cells of another one, by the nearest cell; unknown beyond its own."""
+    rows, columns = np.indices(onto.shape).reshape(2, -1)
+    middles = np.array(onto.origin) + (np.column_stack([columns, rows]) + 0.5) * onto.resolution_m
+    places = se2.transform_points(se2.inverse(pose), middles)
+    column, row = np.floor((places - grid.origin) / grid.resolution_m).astype(np.int64).T
+    inside = (row >= 0) & (column >= 0) & (row < grid.shape[0]) & (column < grid.shape[1])
+    log_odds, known = np.zeros(len(rows), np.float32), np.zeros(len(rows), np.bool_)
+    log_odds[inside] = grid.log_odds[row[inside], column[inside]]
+    known[inside] = grid.known[row[inside], column[inside]]
+    return OccupancyGrid(log_odds.reshape(onto.shape), known.reshape(onto.shape), onto.resolution_m, onto.origin)
 
 
-def _find_gone(kind: str, here: Raster, there: Raster) -> list[Change]:
+def _find_gone(kind: str, here: OccupancyGrid, there: OccupancyGrid) -> list[Change]:
     """Find cells that are occupied here and amid free ones there."""
-    near = ndimage.binary_dilation(there.occupied, _disc(int(np.ceil(_NEAR_M / here.cell_m))))
-    is_open = ndimage.uniform_filter(there.free.astype(np.float32), 5) > _LEAST_OPEN
-    edges = here.occupied & there.free & is_open & ~near
-    labels, _ = ndimage.label(ndimage.binary_dilation(edges, _disc(round(_JOIN_M / 2 / here.cell_m))))
-    labels[~edges] = 0
+    _, shapely = require_map_extra()
+    cell_m = here.resolution_m
+    free = there.known & (there.log_odds < 0)
+    near = ndimage.binary_dilation(there.known & (there.log_odds > 0), _disc(int(np.ceil(_NEAR_M / cell_m))))
+    is_open = ndimage.uniform_filter(free.astype(np.float32), 5) > _LEAST_OPEN
+    edges = here.known & (here.log_odds > 0) & free & is_open & ~near
+    labels, count = ndimage.label(ndimage.binary_dilation(edges, _disc(round(_JOIN_M / 2 / cell_m))))
     changes = []
-    for number, part in enumerate(ndimage.find_objects(labels), start=1):
-        if part is not None and (labels[part] == number).sum() >= _LEAST_CELLS:
-            cells = np.argwhere(labels[part] == number) + np.array([part[0].start, part[1].start])
-            changes.append(Change(kind, here.points(cells), _enclose(here.points(cells), here.cell_m)))
+    for number, part in zip(range(1, count + 1), ndimage.find_objects(labels), strict=True):
+        own = edges[part] & (labels[part] == number)
+        cells = np.argwhere(own) + np.array([part[0].start, part[1].start])
+        if len(cells) >= _LEAST_CELLS:
+            low = np.asarray(np.array(here.origin) + cells[:, ::-1] * cell_m, np.float64)
+            boxes = shapely.union_all(shapely.box(*low.T, *(low + cell_m).T))
+            rectangle = shapely.geometry.polygon.orient(shapely.oriented_envelope(boxes))
+            outline = np.array(rectangle.exterior.coords)[:-1]
+            changes.append(Change(kind, np.asarray(low + cell_m / 2), outline, float(rectangle.area)))
     return changes
-
-
-def _enclose(places: FloatArray, cell_m: float) -> FloatArray:
-    """Rectangle (4, 2) around cells at places (N, 2), turned so that most of them are along its sides."""
-    best, most = np.zeros((4, 2)), -1.0
-    for angle in np.deg2rad(np.arange(0.0, 90.0, 3.0)):
-        axes = np.array([[np.cos(angle), np.sin(angle)], [-np.sin(angle), np.cos(angle)]])
-        turned = places @ axes.T
-        low, high = turned.min(axis=0), turned.max(axis=0)
-        beside = (np.minimum(turned - low, high - turned).min(axis=1) < 0.8 * cell_m).mean()
-        score = float(beside - 0.02 * np.prod(high - low + cell_m))
-        if score > most:
-            low, high = low - cell_m / 2, high + cell_m / 2
-            corners = np.array([low, (high[0], low[1]), high, (low[0], high[1])])
-            best, most = corners @ axes, score
-    return best
 
 
 def _disc(cells: int) -> BoolArray:
     return np.asarray(np.hypot(*np.mgrid[-cells : cells + 1, -cells : cells + 1]) <= cells + 0.5, np.bool_)
+
+
+def describe_changes(changes: Changes) -> list[dict[str, Any]]:
+    """Each change: kind, area and middle."""
+    return [
+        {"kind": c.kind, "area_m2": round(c.area_m2, 3), "middle_m": np.round(c.outline.mean(axis=0), 3).tolist()}
+        for c in changes.changes
+    ]
+
+
+def write_changes_geojson(path: Path, changes: Changes) -> None:
+    """Write the outlines as GeoJSON in metres of the first map's frame; layers "gone" and "new"."""
+    features = []
+    for change in changes.changes:
+        ring = np.round(np.concatenate([change.outline, change.outline[:1]]), 3).tolist()
+        properties = {"layer": change.kind, "area_m2": round(change.area_m2, 3)}
+        geometry = {"type": "Polygon", "coordinates": [ring]}
+        features.append({"type": "Feature", "properties": properties, "geometry": geometry})
+    path.write_text(format_features({"type": "FeatureCollection", "units": "m"}, features), encoding="utf-8")
+
+
+def write_changes_png(path: Path, changes: Changes) -> None:
+    """Paint both maps over one another: gone red, new green, with their outlines; cells seen by one alone yellow."""
+    first, second = changes.first, changes.second
+    pixels = np.full((*first.shape, 3), UNKNOWN, np.uint8)
+    pixels[first.known ^ second.known] = _ONE_DAY
+    pixels[first.known & second.known] = FREE
+    pixels[(first.known & (first.log_odds > 0)) | (second.known & (second.log_odds > 0))] = OCCUPIED
+    for change in changes.changes:
+        column, row = ((change.cells - first.origin) / first.resolution_m).astype(np.int64).T
+        pixels[row, column] = _COLOURS[change.kind]
+    height, width = first.shape
+    scale = max(1, min(4, _LONGEST_PX // max(height, width)))
+    page = Image.fromarray(pixels[::-1]).resize((width * scale, height * scale), Image.Resampling.NEAREST)
+    draw = ImageDraw.Draw(page)
+    for change in changes.changes:
+        x, y = (change.outline - first.origin).T / first.resolution_m * scale
+        draw.polygon(
+            [*zip(x.tolist(), (height * scale - y).tolist(), strict=True)], outline=_COLOURS[change.kind], width=2
+        )
+    page.save(path, compress_level=3)

@@ -1,14 +1,12 @@
-"""Plans drawn by others, as PNG or DXF: the surfaces of their walls."""
+"""Plans drawn by others, as images or DXF: the surfaces of their walls."""
 
 from __future__ import annotations
 
-import math
 from collections.abc import Iterator
-from dataclasses import replace
 from io import StringIO
 from itertools import pairwise
 from pathlib import Path
-from typing import Any, NamedTuple, final
+from typing import Any
 
 import numpy as np
 from PIL import Image
@@ -23,67 +21,36 @@ from gridslam.types import FloatArray, OccupancyGrid
 
 _STEP_M = 0.05
 _LONGEST_M = 200_000.0
+_DRAWN = "LINE LWPOLYLINE POLYLINE ARC CIRCLE ELLIPSE"
+SUFFIXES = (".dxf", ".png", ".jpg", ".jpeg", ".tif", ".tiff", ".bmp", ".pgm")
 
 
-@final
-class DrawnPlan(NamedTuple):
-    """Lines or dark pixels of a plan, in its own units with y up.
+def read_drawn_plan(path: Path, unit_m: float | None = None) -> tuple[SurfacePoints, float]:
+    """Read points on the walls of a plan, m with y up, and the length of its unit, m.
 
-    Attributes
+    Walls are the lines of a DXF, whose normals are to their left, as it is not known which side is free, or the dark
+    pixels of an image.
+
+    Parameters
     ----------
     path : Path
-    lines : (S, 2, 2) float64
-    grid : OccupancyGrid or None
-        Dark pixels are occupied and others free; a pixel is 1 m.
-    height : float or None
-        Of an image, whose y is counted from the top.
-    unit_m : float or None
-        Length of a unit, m, where the file states it.
-    """
-
-    path: Path
-    lines: FloatArray
-    grid: OccupancyGrid | None = None
-    height: float | None = None
-    unit_m: float | None = None
-
-    def turn_up(self, places: FloatArray) -> FloatArray:
-        """Places (N, 2) as the file's programs show them, with y up."""
-        return places if self.height is None else np.column_stack([places[:, 0], self.height - places[:, 1]])
-
-    def surfaces(self, unit_m: float) -> SurfacePoints:
-        """Points on walls, m; of lines to their left, as it is not known which side is free."""
-        if self.grid is not None:
-            return points_of_grid(replace(self.grid, resolution_m=unit_m))
-        ends = unit_m * self.lines
-        apart = ends[:, 1] - ends[:, 0]
-        total_m = float(np.hypot(*apart.T).sum())
-        if not total_m < _LONGEST_M:
-            raise InputError(self.path, f"expected lines of less than {_LONGEST_M:g} m in all, got {total_m:g}")
-        counts = np.maximum(1, np.round(np.hypot(*apart.T) / _STEP_M)).astype(np.int64)
-        numbers = np.repeat(np.arange(len(ends)), counts)
-        steps = (np.arange(len(numbers)) - np.repeat(np.cumsum(counts) - counts, counts) + 0.5) / counts[numbers]
-        places = ends[numbers, 0] + steps[:, None] * apart[numbers]
-        normals = np.column_stack([-apart[:, 1], apart[:, 0]]) / np.maximum(np.hypot(*apart.T), 1e-12)[:, None]
-        return SurfacePoints(places, normals[numbers], np.ones(len(places)))
-
-
-def read_drawn_plan(path: Path) -> DrawnPlan:
-    """Read the lines of a DXF, or the dark pixels of an image.
+    unit_m : float, m, optional
+        Length of a pixel or a unit; needed unless a DXF states it.
 
     Raises
     ------
     InputError
-        The file cannot be read, or shows no line.
+        The file cannot be read, shows no line, or has no unit.
     MissingDependencyError
         ezdxf, of the extra ``map``, is not installed.
     """
-    plan = _read_dxf(path) if path.suffix.lower() == ".dxf" else _read_image(path)
-    if plan.grid is None and not len(plan.lines):
-        raise InputError(path, "expected a plan with lines, got one without")
-    if plan.grid is None and not np.isfinite(plan.lines).all():
-        raise InputError(path, "expected a plan with finite places")
-    return plan
+    is_dxf = path.suffix.lower() == ".dxf"
+    if is_dxf:
+        lines, stated_m = _read_lines(path)
+        unit_m = unit_m or stated_m
+    if unit_m is None:
+        raise InputError(path, "expected a plan with a scale: state --unit METRES of its pixels or units")
+    return (_points_of_lines(path, np.asarray(unit_m * lines)) if is_dxf else _read_image(path, unit_m)), unit_m
 
 
 def draw_aligned(grid: OccupancyGrid, alignment: Alignment, plan: SurfacePoints) -> Image.Image:
@@ -96,17 +63,30 @@ def draw_aligned(grid: OccupancyGrid, alignment: Alignment, plan: SurfacePoints)
     return Image.fromarray(pixels[::-1])
 
 
-def _read_image(path: Path) -> DrawnPlan:
+def _read_image(path: Path, unit_m: float) -> SurfacePoints:
     """Take pixels darker than half as walls."""
     image = read_map_image(path)
     dark = ((image.brightness < 128) & image.opaque)[::-1]
     log_odds = np.where(dark, 4.0, -4.0).astype(np.float32)
-    grid = OccupancyGrid(log_odds, np.ones(dark.shape, np.bool_), 1.0, (0.0, 0.0))
-    return DrawnPlan(path, np.zeros((0, 2, 2)), grid, float(len(dark)))
+    return points_of_grid(OccupancyGrid(log_odds, np.ones(dark.shape, np.bool_), unit_m, (0.0, 0.0)))
 
 
-def _read_dxf(path: Path) -> DrawnPlan:
-    """Take lines, polylines, arcs, circles and ellipses of the modelspace, in its units."""
+def _points_of_lines(path: Path, ends: FloatArray) -> SurfacePoints:
+    """Points every 5 cm of lines (S, 2, 2), m."""
+    apart = ends[:, 1] - ends[:, 0]
+    lengths = np.hypot(*apart.T)
+    if not 0 < lengths.sum() < _LONGEST_M:
+        raise InputError(path, f"expected lines of up to {_LONGEST_M:g} m in all, got {lengths.sum():g} m")
+    counts = np.maximum(1, np.round(lengths / _STEP_M)).astype(np.int64)
+    numbers = np.repeat(np.arange(len(ends)), counts)
+    steps = (np.arange(len(numbers)) - np.repeat(np.cumsum(counts) - counts, counts) + 0.5) / counts[numbers]
+    normals = np.column_stack([-apart[:, 1], apart[:, 0]]) / np.maximum(lengths, 1e-12)[:, None]
+    places = ends[numbers, 0] + steps[:, None] * apart[numbers]
+    return SurfacePoints(places, normals[numbers], np.ones(len(places)))
+
+
+def _read_lines(path: Path) -> tuple[FloatArray, float | None]:
+    """Read lines (S, 2, 2), polylines, arcs, circles and ellipses of a DXF's modelspace, and its unit, m."""
     try:
         from ezdxf import units
         from ezdxf.enums import InsertUnits
@@ -116,26 +96,20 @@ def _read_dxf(path: Path) -> DrawnPlan:
     text = read_text(path)
     with refuse_unreadable(path, "DXF"):
         drawing = read(StringIO(text))
-        lines = [segment for entity in drawing.modelspace() for segment in _lines_of(entity)]
+        lines = [segment for entity in drawing.modelspace().query(_DRAWN) for segment in _lines_of(entity)]
         unit_m = units.conversion_factor(InsertUnits(drawing.units), InsertUnits.Meters) if drawing.units else None
-    return DrawnPlan(path, np.array(lines, np.float64).reshape(-1, 2, 2), None, None, unit_m)
+    return np.array(lines, np.float64).reshape(-1, 2, 2), unit_m
 
 
 def _lines_of(entity: Any) -> Iterator[tuple[Any, Any]]:  # noqa: ANN401
     """Segments of an entity, on a curve a degree to 12 degrees long each."""
     from ezdxf.path import make_path
 
-    is_mesh = entity.dxftype() == "POLYLINE" and (entity.is_poly_face_mesh or entity.is_polygon_mesh)
-    if entity.dxftype() not in _DRAWN or is_mesh:  # a mesh is furniture
-        return
+    if entity.dxftype() == "POLYLINE" and (entity.is_poly_face_mesh or entity.is_polygon_mesh):
+        return  # furniture
     path = make_path(entity)
     corners = np.array([tuple(corner)[:2] for corner in path.control_vertices()], np.float64)
     size = float(np.ptp(corners, axis=0).max()) if len(corners) else 0.0
-    if not math.isfinite(size):
+    if not np.isfinite(size):
         raise ValueError(f"a {entity.dxftype()} that is not finite")
-    points = [tuple(p)[:2] for p in path.flattening(max(1e-3 * size, 1e-9), segments=4)]
-    yield from pairwise(points)
-
-
-_DRAWN = "LINE", "LWPOLYLINE", "POLYLINE", "ARC", "CIRCLE", "ELLIPSE"
-SUFFIXES = (".dxf", ".png", ".jpg", ".jpeg", ".tif", ".tiff", ".bmp", ".pgm")
+    yield from pairwise(tuple(p)[:2] for p in path.flattening(max(1e-3 * size, 1e-9), segments=4))

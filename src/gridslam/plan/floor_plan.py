@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import final
 
 import numpy as np
@@ -26,7 +26,7 @@ _SLIT_CELLS = 2
 @final
 @dataclass(frozen=True, slots=True, eq=False)
 class FloorPlan:
-    """A floor plan, in the frame of the map or turned by `turned_rad`.
+    """A floor plan, in the frame of the map.
 
     Attributes
     ----------
@@ -41,8 +41,6 @@ class FloorPlan:
         The surfaces that walls were made from.
     dominant_rad : float, rad, [-pi/4, pi/4)
         Direction in or across which most walls run.
-    turned_rad : float, rad
-        By what the plan was turned about the origin of the map.
     """
 
     walls: tuple[Wall, ...]
@@ -51,40 +49,6 @@ class FloorPlan:
     furniture: tuple[FloatArray, ...]
     faces: tuple[Face, ...]
     dominant_rad: float
-    turned_rad: float = 0.0
-
-    @property
-    def bounds(self) -> FloatArray:
-        """Lower left and upper right corner (2, 2) of all that is shown, m; zeros of an empty plan."""
-        shown = [*(wall.outline for wall in self.walls), *(room.outline for room in self.rooms)]
-        if not shown:
-            return np.zeros((2, 2))
-        points = np.concatenate(shown)
-        return np.array([points.min(axis=0), points.max(axis=0)])
-
-    def turn(self, angle_rad: float) -> FloorPlan:
-        """Turn the plan about the origin of the map, anticlockwise."""
-        c, s = np.cos(angle_rad), np.sin(angle_rad)
-        turn = np.array([[c, s], [-s, c]])  # of rows
-        return FloorPlan(
-            tuple(Wall(wall.ends @ turn, wall.thickness_m) for wall in self.walls),
-            tuple(Opening(opening.ends @ turn, opening.thickness_m) for opening in self.openings),
-            tuple(
-                replace(r, outline=r.outline @ turn, holes=tuple(h @ turn for h in r.holes), unknown=r.unknown @ turn)
-                for r in self.rooms
-            ),
-            tuple(outline @ turn for outline in self.furniture),
-            tuple(
-                Face(face.middle @ turn, face.direction + angle_rad, face.begin, face.end, face.weight)
-                for face in self.faces
-            ),
-            self.dominant_rad + angle_rad,
-            self.turned_rad + angle_rad,
-        )
-
-    def straighten(self) -> FloorPlan:
-        """Turn the plan so that most walls run along its axes."""
-        return self.turn(-self.dominant_rad)
 
 
 def make_plan(grid: OccupancyGrid, points: SurfacePoints | None = None, path: FloatArray | None = None) -> FloorPlan:

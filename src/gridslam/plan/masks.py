@@ -1,4 +1,4 @@
-"""Masks of nav2's costmap filters: where robots may not go, should go, and how fast."""
+"""Masks of nav2's costmap filters: where robots may not go, and how fast they may."""
 
 from __future__ import annotations
 
@@ -9,7 +9,6 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import Image
 
-from gridslam.errors import ArgumentError
 from gridslam.io.edited_maps import cells_of
 from gridslam.io.edits import Edits
 from gridslam.io.maps import MapDescription
@@ -25,85 +24,37 @@ class Mask(NamedTuple):
     values : (H, W) int8, 0 to 100
         The first row is the lowest one.
     kind : int
-        nav2's: 0 cost in percent of lethal, 1 speed in percent, 2 speed in m/s.
-    multiplier : float
-        Of the values: ``limit = multiplier * value``; 0 sets no limit.
+        nav2's: 0 cost in percent of a lethal one, 1 speed in percent of the highest; 0 sets no limit.
     """
 
     values: NDArray[np.int8]
     kind: int
-    multiplier: float = 1.0
 
 
-def make_keepout_mask(grid: OccupancyGrid, edits: Edits, off_lane_percent: int = 50) -> Mask:
-    """Draw keep-out polygons and no-go lines with 100; where there are lanes, cells beside them cost more.
-
-    Parameters
-    ----------
-    grid : OccupancyGrid
-        The map, whose cells the mask has.
-    edits : Edits
-    off_lane_percent : int, 0 to 99
-        Cost beside lanes, in percent of a lethal one; in lanes it is 0.
-    """
+def make_keepout_mask(grid: OccupancyGrid, edits: Edits) -> Mask:
+    """Draw keep-out polygons and no-go lines with 100 in the cells of the map."""
     values = np.zeros(grid.shape, np.int8)
-    lanes = edits.of("lanes")
-    if lanes:
-        values[:] = off_lane_percent
-    for chosen, value in ((lanes, 0), (edits.of("keep_out", "no_go"), 100)):
-        for edit in chosen:
-            window, inside = cells_of(edit, grid)
-            values[window][inside] = value
+    for edit in edits.of("keep_out", "no_go"):
+        window, inside = cells_of(edit, grid)
+        values[window][inside] = 100
     return Mask(values, 0)
 
 
-def make_speed_mask(grid: OccupancyGrid, edits: Edits) -> Mask | None:
-    """Draw speed zones; where they overlap the lowest limit holds. Those in m/s are rounded down to 1 % of the highest.
-
-    Returns None without zones.
-
-    Raises
-    ------
-    ArgumentError
-        Some zones have limits in percent and some in m/s: a mask of nav2 has one unit.
-    """
-    zones = edits.of("speed")
-    limits = [dict(edit.limits or {}) for edit in zones]
-    units = {unit for limit in limits for unit in limit}
-    if not zones:
-        return None
-    if len(units) != 1:
-        raise ArgumentError("speed zones", "limits in percent or in m/s, not both", " and ".join(sorted(units)))
-    (unit,) = units
-    multiplier = 1.0 if unit == "limit_percent" else max(limit[unit] for limit in limits) / 100
-    values = np.full(grid.shape, 127, np.int8)
-    for edit, limit in zip(zones, limits, strict=True):
+def make_speed_mask(grid: OccupancyGrid, edits: Edits) -> Mask:
+    """Draw speed zones, in percent of the highest speed; where they overlap the lowest limit holds."""
+    values = np.zeros(grid.shape, np.int8)
+    for edit in sorted(edits.of("speed"), key=lambda edit: -edit.limit_percent):
         window, inside = cells_of(edit, grid)
-        value = max(1, int(limit[unit] / multiplier + 1e-6))
-        values[window][inside] = np.minimum(values[window][inside], np.int8(value))
-    values[values == 127] = 0
-    return Mask(values, 1 if unit == "limit_percent" else 2, multiplier)
+        values[window][inside] = max(1, int(edit.limit_percent))
+    return Mask(values, 1)
 
 
-def write_mask(yaml_path: Path, mask: Mask, grid: OccupancyGrid, mode: str = "scale") -> None:
-    """Write a mask as an image and its YAML file, from which map_server reads exactly its values.
-
-    Parameters
-    ----------
-    yaml_path : Path
-        The image is a PGM of the same name beside it.
-    mask : Mask
-    grid : OccupancyGrid
-        The map, whose place the mask has.
-    mode : str
-        "scale": white is 0, black 100; "raw": a pixel is its value.
-    """
-    values = mask.values[::-1]
-    pixels = values.astype(np.uint8) if mode == "raw" else np.rint(255 * (1 - values / 100)).astype(np.uint8)
+def write_mask(yaml_path: Path, mask: Mask, grid: OccupancyGrid) -> None:
+    """Write a mask as a YAML file and a PGM beside it, white 0 and black 100: map_server reads exactly its values."""
     image = yaml_path.with_suffix(".pgm")
-    Image.fromarray(pixels).save(image)
+    Image.fromarray(np.rint(255 * (1 - mask.values[::-1] / 100)).astype(np.uint8)).save(image)
     x, y = (float(value) for value in grid.origin)
-    text = MapDescription(image.name, float(grid.resolution_m), (x, y), False, 1.0, 0.0, mode).to_yaml()
+    text = MapDescription(image.name, float(grid.resolution_m), (x, y), False, 1.0, 0.0, "scale").to_yaml()
     yaml_path.write_text(text, encoding="utf-8")
 
 
@@ -126,7 +77,7 @@ def describe_filters(masks: dict[str, Mask]) -> str:
     filter_info_topic: "{name}_costmap_filter_info"
     mask_topic: "{name}_filter_mask"
     base: 0.0
-    multiplier: {mask.multiplier!r}
+    multiplier: 1.0
 """
         filters += f"""\
       {name}_filter:

@@ -18,7 +18,7 @@ from gridslam.io.maps import read_map
 from gridslam.io.text import compute_digest, read_json
 from gridslam.io.trajectories import read_tum
 from gridslam.mapping.known_poses import KnownPoses
-from gridslam.plan.rasters import BoolArray, dilate
+from gridslam.plan.rasters import BoolArray
 from gridslam.plan.surfaces import SurfacePoints, points_of_grid, points_of_scans
 from gridslam.types import FloatArray, OccupancyGrid
 
@@ -147,8 +147,7 @@ def _apply(edits: Edits, source: MapSource) -> MapSource:
         for edit in edits.of("erased", "walls"):
             window, inside = cells_of(edit, grid)
             changed[window] |= inside
-        beside = edited.known & dilate(changed, 1)
-        drawn = points_of_grid(OccupancyGrid(edited.log_odds, beside, grid.resolution_m, grid.origin))
+        drawn = points_of_grid(edited)
         kept, added = points.select(~_look_up(changed, grid, points)), drawn.select(_look_up(changed, grid, drawn))
         points = SurfacePoints(*(np.concatenate(both) for both in zip(kept, added, strict=True)))
     return source._replace(grid=edited, points=points, names=names)

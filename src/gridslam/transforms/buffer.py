@@ -6,8 +6,8 @@ It never extrapolates by itself (`extrapolate_planar` does on request); the erro
 from __future__ import annotations
 
 from bisect import bisect_left
-from collections.abc import Callable, Sequence
-from typing import final
+from collections.abc import Sequence
+from typing import NamedTuple, final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,14 +17,14 @@ from gridslam.errors import ArgumentError, GridslamError
 from gridslam.geometry import rigid, se2
 from gridslam.geometry.angles import wrap
 from gridslam.geometry.rigid import Rigid
-from gridslam.transforms.link import Chain, Coverage, Link
+from gridslam.transforms.link import Coverage, Link
 from gridslam.types import describe_duration
 
 FloatArray = NDArray[np.float64]
 
-_MAX_CHAINS = 1000
-_MAX_LINKS = 10_000  # 2.5 kB each; a fleet of 100 robots has as many
-_MAX_NAMES = 8
+_IDENTITY: Rigid = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0)
+_MOST_LINKS = 10_000  # 2.5 kB each; a fleet of 100 robots has as many
+_MOST_NAMES = 8
 _VELOCITY_NS = 50_000_000  # the velocity is that over this time, or between two readings if they are further apart
 _MAX_SPEED = 10.0  # m/s and rad/s: faster than any robot
 
@@ -68,35 +68,20 @@ class TransformBuffer:
     a stamp stays, and of a static link the last. Where the stamps of a link jump back by more than `keep_s` and stay
     there, as in a log that was played twice, it restarts; a shorter jump leads to stamps that are known.
 
-    Frames may form several trees, one for each robot. A frame may have several parents, by error or because it was
-    handed over: all links stand side by side, and of several ways the one of fewest links is taken, and of those the
-    same one there and back. Another is taken only where a link of it does not reach back to the stamp, or was silent
-    for `keep_s` while others spoke.
+    Frames may form several trees, one for each robot. A frame has one parent, as in ROS: of several the first one,
+    until it was silent for `keep_s` while another one spoke. There are at most 10,000 links.
 
     Parameters
     ----------
     keep_s : float, s
         Finite and > 0. Bounds the memory, and how long a reader can wait for a reading that comes late.
-    max_links : int, >= 16
-        Most links; of more than that those expire that were not used, the oldest first and static ones last.
-
-    Attributes
-    ----------
-    expired : int
-        Number of links that have expired.
     """
 
-    def __init__(self, keep_s: float = 10.0, max_links: int = _MAX_LINKS) -> None:
+    def __init__(self, keep_s: float = 10.0) -> None:
         if not 0.0 < keep_s < np.inf:
             raise ArgumentError("keep_s", "a finite time > 0 s", keep_s)
-        self.expired = 0
-        self._max_links = max_links
-        self._used: set[Link] = set()  # of chains that were forgotten last
         self._keep_ns = round(keep_s * 1e9)
-        self._links: dict[tuple[str, str], Link] = {}
-        self._around: dict[str, list[Link]] = {}
-        self._chains: dict[tuple[str, str], Chain | None] = {}
-        self._has_cycles = False
+        self._links: dict[str, Link] = {}  # by the child
 
     def add_quaternion(
         self,
@@ -107,7 +92,7 @@ class TransformBuffer:
         xyzw: Sequence[float],
         static: bool = False,
     ) -> None:
-        """Take one reading of a link.
+        """Take one reading of a link; nothing happens where another parent has the child.
 
         Parameters
         ----------
@@ -126,13 +111,16 @@ class TransformBuffer:
         ------
         ArgumentError
             A value is not finite, the quaternion is not of norm 1, or no tree can hold the link: of a frame to itself,
-            or of a frame without a name.
+            of a frame without a name or to one below it, or one more than 10,000.
         """
         motion = rigid.from_quaternion(translation, xyzw)
-        link = self._link(_bare(parent), _bare(child))
-        changed = link.fix(motion) if static else link.add(stamp_ns, motion)
-        if changed:
-            self._forget_chains()
+        link = self._link(_bare(parent), _bare(child), stamp_ns)
+        if link is None:
+            return
+        if static:
+            link.fix(motion)
+        else:
+            link.add(stamp_ns, motion)
 
     def lookup(self, target: str, source: str, stamp_ns: int) -> FloatArray:
         """Transform target_from_source (4, 4) at a stamp in ns; raises MissingTransform where it is not known."""
@@ -164,16 +152,17 @@ class TransformBuffer:
             The motion of the last 50 ms, or of the last two readings, goes on. None if the last reading, or the one
             before that, is older than `most_s`, there are not two, or the velocity is no robot's.
         """
-        target, source = _bare(target), _bare(source)
-        chain = self._chain_at(target, source, stamp_ns)
-        if chain is None or (end := chain.ends_first()) is None or len(end.stamps_ns) < 2:
+        steps = self._steps(_bare(target), _bare(source)) or []
+        moving = [step.link for step in steps if step.link.fixed is None]
+        end = min(moving, key=lambda link: link.stamps_ns[-1], default=None)
+        if end is None or len(end.stamps_ns) < 2:
             return None
         stamps = end.stamps_ns
         before_ns = stamps[min(bisect_left(stamps, stamps[-1] - _VELOCITY_NS), len(stamps) - 2)]
         most_ns = most_s * 1e9
         if not (0 <= stamp_ns - stamps[-1] <= most_ns and stamps[-1] - before_ns <= most_ns):
             return None
-        if chain.lacking(before_ns)[1] is not None:
+        if any(link.coverage(before_ns) is not Coverage.KNOWN for link in moving):
             return None
         last = self.planar(target, source, stamps[-1])
         motion = se2.log(se2.between(self.planar(target, source, before_ns), last))
@@ -185,127 +174,86 @@ class TransformBuffer:
     def __contains__(self, link: tuple[str, str]) -> bool:
         """Return whether there is a link between two frames, parent and child."""
         parent, child = link
-        return (_bare(parent), _bare(child)) in self._links
+        found = self._links.get(_bare(child))
+        return found is not None and found.parent == _bare(parent)
 
     def __len__(self) -> int:
         """Return the number of readings kept, a static link counting as one."""
         return sum(len(link) for link in self._links.values())
 
-    def _link(self, parent: str, child: str) -> Link:
-        """Link between two frames, a new one where there is none."""
-        link = self._links.get((parent, child))
-        if link is None:
-            if parent == child or not parent or not child:
-                raise ArgumentError("child", "two frames, each with a name", f"'{child}' in '{parent}'")
-            if len(self._links) >= self._max_links:
-                self._expire()
-            if parent in self._around and child in self._around:
-                self._has_cycles |= child in self._reach(parent)
-                self._forget_chains()
-            else:  # a leaf or a root leaves the chains of others as they are
-                self._chains = {key: chain for key, chain in self._chains.items() if chain is not None}
-            link = self._links[parent, child] = Link(parent, child, self._keep_ns)
-            for frame in (parent, child):
-                self._around.setdefault(frame, []).append(link)
-        return link
-
-    def _forget_chains(self) -> None:
-        if self._chains:
-            self._used = self._find_used()
-            self._chains.clear()
-
-    def _find_used(self) -> set[Link]:
-        return {link for chain in self._chains.values() if chain is not None for link in chain.links}
-
-    def _expire(self) -> None:
-        """Drop an eighth of the links: those that no chain uses, the oldest first, dynamic ones before static ones."""
-        used = self._used | self._find_used()
-        unused = [link for link in self._links.values() if link not in used] or list(self._links.values())
-        unused.sort(key=lambda link: link.fixed is not None)
-        for link in unused[: self._max_links // 8]:
-            del self._links[link.parent, link.child]
-            for frame in (link.parent, link.child):
-                self._around[frame].remove(link)
-                if not self._around[frame]:
-                    del self._around[frame]
-            self.expired += 1
-        self._chains = {key: chain for key, chain in self._chains.items() if chain is not None}
+    def _link(self, parent: str, child: str, stamp_ns: int) -> Link | None:
+        """Link between two frames, a new one where there is none; None where the child has another parent."""
+        if parent == child or not parent or not child:
+            raise ArgumentError("child", "two frames, each with a name", f"'{child}' in '{parent}'")
+        link = self._links.get(child)
+        if link is None or (link.parent != parent and link.fixed is None and link.ends_before(stamp_ns)):
+            if child in self._above(parent):
+                raise ArgumentError("child", "a tree of frames", f"'{child}' in '{parent}', which is below it")
+            if len(self._links) >= _MOST_LINKS:
+                raise ArgumentError("child", f"at most {_MOST_LINKS} frames", f"one more, '{child}'")
+            link = self._links[child] = Link(parent, child, self._keep_ns)
+        return link if link.parent == parent else None
 
     def _motion(self, target: str, source: str, stamp_ns: int) -> Rigid:
-        chain = self._chain_at(target, source, stamp_ns)
-        if chain is None:
-            unknown = [frame for frame in (source, target) if frame not in self._around]
-            if unknown:
-                reason = f"no link names {_list(unknown)}; the frames are {_list(list(self._around))}"
-            else:
-                source_tree = _list(list(self._reach(source)))
-                target_tree = _list(list(self._reach(target)))
-                reason = f"the frames are not connected: {source_tree} are one tree, {target_tree} another"
+        steps = self._steps(target, source)
+        if steps is None:
+            frames = dict.fromkeys(frame for link in self._links.values() for frame in (link.parent, link.child))
+            unknown = [frame for frame in (source, target) if frame not in frames]
+            reason = (
+                f"no link names {_list(unknown)}; the frames are {_list(list(frames))}"
+                if unknown
+                else f"the frames are not connected: above them are {_list(self._above(source))}, "
+                f"and {_list(self._above(target))}"
+            )
             raise MissingTransform(target, source, stamp_ns, Coverage.NOT_CONNECTED, reason)
-        coverage, link = chain.lacking(stamp_ns)
-        if link is None:
-            return chain.at(stamp_ns)
-        late = coverage is Coverage.NOT_YET
-        known_ns = link.stamps_ns[-1 if late else 0]
-        apart_s = abs(known_ns - stamp_ns) / 1e9
-        apart = f"{describe_duration(apart_s)} {'before' if late else 'after'}"
-        raise MissingTransform(
-            target,
-            source,
-            stamp_ns,
-            coverage,
-            f"of the chain {' <- '.join(chain.frames)} the link {link.parent} <- {link.child} "
-            f"is known only {'until' if late else 'from'} {known_ns / 1e9:.3f} s, {apart}",
-            apart_s,
-        )
+        for coverage in (Coverage.TOO_EARLY, Coverage.NOT_YET):  # what will not come before what may
+            for step in steps:
+                if step.link.coverage(stamp_ns) is coverage:
+                    raise _describe_missing(target, source, stamp_ns, steps, step.link)
+        motion = _IDENTITY
+        for step in steps:
+            own = step.link.at(stamp_ns)
+            motion = rigid.compose(motion, rigid.inverse(own) if step.up else own)
+        return motion
 
-    def _chain_at(self, target: str, source: str, stamp_ns: int) -> Chain | None:
-        """Chain of fewest links, or the one that replaced it at this stamp; None where the frames are not connected."""
-        key = target, source
-        if key not in self._chains:
-            if len(self._chains) >= _MAX_CHAINS:
-                self._forget_chains()
-            self._chains[key] = self._find_chain(target, source)
-        chain = self._chains[key]
-        if chain is None or not self._has_cycles or chain.lacking(stamp_ns)[0] is Coverage.KNOWN:
-            return chain
-        latest = max((link.stamps_ns[-1] for link in self._links.values() if link.stamps_ns), default=stamp_ns)
-
-        def is_alive(link: Link) -> bool:
-            coverage = link.coverage(stamp_ns)
-            silent = coverage is Coverage.NOT_YET and link.stamps_ns[-1] < latest - self._keep_ns
-            return coverage is not Coverage.TOO_EARLY and not silent
-
-        return self._find_chain(target, source, is_alive) or chain
-
-    def _find_chain(
-        self, target: str, source: str, is_alive: Callable[[Link], bool] = lambda link: True
-    ) -> Chain | None:
-        """Chain of fewest links; None where the frames are not connected."""
-        end, begin = sorted((target, source))  # of several ways the same one, there and back
-        reached = self._reach(begin, is_alive)
-        if end not in reached:
+    def _steps(self, target: str, source: str) -> list[_Step] | None:
+        """Links from target to source; None where the frames are not connected."""
+        up = self._above(target)
+        down = self._above(source)
+        shared = next((frame for frame in up if frame in down), None)
+        if shared is None:
             return None
-        links = []
-        frame = end
-        while (step := reached[frame]) is not None:
-            frame, link = step
-            links.append(link)
-        return Chain(target, links if target == end else links[::-1])
+        steps = [_Step(self._links[frame], True) for frame in up[: up.index(shared)]]
+        return steps + [_Step(self._links[frame], False) for frame in reversed(down[: down.index(shared)])]
 
-    def _reach(
-        self, source: str, is_alive: Callable[[Link], bool] = lambda link: True
-    ) -> dict[str, tuple[str, Link] | None]:
-        """Frames connected with one, itself first, each with the one before and the link between, breadth first."""
-        reached: dict[str, tuple[str, Link] | None] = {source: None}
-        queue = [source]
-        for frame in queue:
-            for link in self._around.get(frame, ()):
-                other = link.child if link.parent == frame else link.parent
-                if other not in reached and is_alive(link):
-                    reached[other] = frame, link
-                    queue.append(other)
-        return reached
+    def _above(self, frame: str) -> list[str]:
+        """Return a frame, its parent, and so on up to the root."""
+        found = [frame]
+        while (link := self._links.get(found[-1])) is not None:
+            found.append(link.parent)
+        return found
+
+
+class _Step(NamedTuple):
+    """A link of a chain, which may lead up, from child to parent."""
+
+    link: Link
+    up: bool
+
+
+def _describe_missing(target: str, source: str, stamp_ns: int, steps: Sequence[_Step], link: Link) -> MissingTransform:
+    """Return the error of a link that does not reach to a stamp."""
+    frames = [target, *(step.link.parent if step.up else step.link.child for step in steps)]
+    coverage = link.coverage(stamp_ns)
+    late = coverage is Coverage.NOT_YET
+    known_ns = link.stamps_ns[-1 if late else 0]
+    apart_s = abs(known_ns - stamp_ns) / 1e9
+    reason = (
+        f"of the chain {' <- '.join(frames)} the link {link.parent} <- {link.child} is known only "
+        f"{'until' if late else 'from'} {known_ns / 1e9:.3f} s, "
+        f"{describe_duration(apart_s)} {'before' if late else 'after'}"
+    )
+    return MissingTransform(target, source, stamp_ns, coverage, reason, apart_s)
 
 
 def _bare(frame: str) -> str:
@@ -314,6 +262,6 @@ def _bare(frame: str) -> str:
 
 def _list(frames: Sequence[str]) -> str:
     """List frames: quoted, and if there are many, the first ones and how many more."""
-    shown = ", ".join(f"'{frame}'" for frame in frames[:_MAX_NAMES])
-    more = len(frames) - _MAX_NAMES
+    shown = ", ".join(f"'{frame}'" for frame in frames[:_MOST_NAMES])
+    more = len(frames) - _MOST_NAMES
     return f"{shown} and {more} more" if more > 0 else shown or "none"

@@ -98,8 +98,6 @@ def test_a_page_that_is_open_to_others_wants_its_token(browser, drive, screensho
         screenshot("without")
         browser.get(f"{here}?{token}")
         wait(lambda: int(told(browser).get("tiles", "0")) > 0, "the map")
-        click(browser, "save-map")
-        wait(lambda: list(browser.downloads.glob("*.zip")), "the map is saved")
 
 
 def test_a_robot_is_not_held_up_and_what_is_wrong_is_read(browser, drive, screenshot):

@@ -1,19 +1,14 @@
 """What all need to see and to touch: contrast, size, landmarks, notices, and a view of the map without strays."""
 
 import threading
-from dataclasses import replace
 
 import numpy as np
 import pytest
 
-from gridslam.config import build
 from gridslam.live.options import LiveOptions
 from gridslam.live.page import LivePage
-from gridslam.messages import Messages
-from gridslam.pipeline import run
 from gridslam.types import OccupancyGrid
 from support.browsing import PATIENCE_S, Mapping, click, emulated, shown, told, view, wait, wait_for_all
-from support.loops import PROVOKED
 
 DESKTOP = {"width": 1400, "height": 760, "deviceScaleFactor": 1, "mobile": False}
 PHONE = {"width": 375, "height": 667, "deviceScaleFactor": 2, "mobile": True}
@@ -96,37 +91,6 @@ def test_the_whole_map_is_that_of_the_robot_not_of_strays(browser, finished):
     x, y, scale = view(browser)[:3]
     assert (x, y) == pytest.approx((10.0, 0.0), abs=3.0)  # the path goes farther than the map
     assert scale > 15, "40 m on a screen"
-
-
-@pytest.mark.parametrize("size", [(1440, 900), (1366, 768)], ids=["desktop", "laptop"])
-def test_what_can_be_saved_is_never_cut_off_and_a_selection_shifts_nothing(browser, drive, size, screenshot):
-    screen = {"width": size[0], "height": size[1], "deviceScaleFactor": 1, "mobile": False}
-    messages = Messages(lambda level, text: None)
-    messages("late scans", "by 2 s")
-    with (
-        LivePage("robot", LiveOptions(port=0), range_max_m=30.0, is_robot=True) as page,
-        emulated(browser, screen, "light"),
-    ):
-        page.show_messages(messages.to_list())
-        browser.get(page.url)
-        mapped = {"rng": np.random.default_rng(1), "observers": [page.observer]}
-        run(page.follow_session(drive[:60]), build(replace(PROVOKED, particles=8)), **mapped)
-        wait(lambda: int(told(browser).get("tiles", "0")) > 10, "a map")
-        tops = (
-            "return [...document.querySelectorAll('#panel > section')].filter((part) => part.checkVisibility())"
-            ".map((part) => part.getBoundingClientRect().top)"
-        )
-        before = browser.execute_script(tops)
-        screenshot(f"node-{size[0]}")
-        click(browser, "weights")
-        wait(lambda: told(browser)["selected"] != "", "a particle")
-        assert browser.execute_script(tops) == before
-        inside = (
-            "const box = (part) => document.querySelector(part).getBoundingClientRect();"
-            "const save = box('#save-picture').bottom;"
-            "return save <= box('#panel').bottom && save <= box('#transport').top"
-        )
-        assert browser.execute_script(inside)
 
 
 def test_speeds_are_in_order_whatever_the_first_one_was(browser):

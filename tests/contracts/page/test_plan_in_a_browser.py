@@ -4,8 +4,7 @@ import numpy as np
 import pytest
 
 from gridslam.plan import make_plan
-from gridslam.plan.drawing import draw_plan
-from gridslam.plan.sheet import write_svg
+from gridslam.plan.exports import write_svg
 from support.drawn_maps import draw_two_rooms
 
 PX_PER_MM = 96 / 25.4
@@ -14,8 +13,9 @@ const of = selector => [...document.querySelectorAll(selector)];
 const root = document.documentElement;
 return {
   size: [root.getBoundingClientRect().width, root.getBoundingClientRect().height],
-  room: of(".rooms polygon").map(each => [each.getBBox().width, each.getBBox().height]),
-  walls: of(".walls *").length, doors: of(".doors text").map(each => each.textContent),
+  stated: [root.viewBox.baseVal.width, root.viewBox.baseVal.height],
+  room: of("polygon.rooms").map(each => [each.getBBox().width, each.getBBox().height]),
+  walls: of(".walls, .faces").length, doors: of("text.doors").map(each => each.textContent),
   errors: of("parsererror").length,
 };
 """
@@ -23,13 +23,12 @@ return {
 
 def test_the_svg_is_shown_to_scale(browser, tmp_path, screenshot):
     plan = make_plan(draw_two_rooms())
-    sheet = draw_plan(plan, "two <rooms>", 50)
-    write_svg(tmp_path / "plan.svg", sheet)
+    write_svg(tmp_path / "plan.svg", plan, "two <rooms>", 50)
     browser.get((tmp_path / "plan.svg").as_uri())
     seen = browser.execute_script(MEASURE)
     screenshot("plan")
     assert seen["errors"] == 0
-    assert seen["size"] == pytest.approx([side * PX_PER_MM for side in sheet.size_mm], rel=0.01)
+    assert seen["size"] == pytest.approx([side * PX_PER_MM for side in seen["stated"]], rel=0.01)
     for box, room in zip(seen["room"], plan.rooms, strict=True):
         assert box == pytest.approx((np.ptp(room.outline, axis=0) * 20).tolist(), abs=0.05)  # mm, at 1:50
     assert seen["walls"] == len(plan.walls)

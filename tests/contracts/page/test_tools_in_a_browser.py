@@ -1,13 +1,11 @@
 """What helps to look at a finished run: keys, measuring, the grid, turning, comparing, charts, and what is saved."""
 
 import shutil
-import zipfile
 
 import pytest
 
 from gridslam.config import override
 from gridslam.io.carmen.writer import write_carmen
-from gridslam.io.trajectories import read_tum
 from gridslam.live.options import LiveOptions
 from gridslam.live.replay import Replay
 from gridslam.live.server import PageServer
@@ -164,15 +162,3 @@ def test_a_grid_and_the_truth_are_shown(page, screenshot):
     screenshot("grid")
     page.find_element("css selector", "input[name='truth']").click()
     wait(lambda: pixels_of(page, "truth") < other, "the true path is hidden")
-
-
-def test_what_is_saved_has_a_name_and_is_whole(page, out):
-    for button, name in (
-        ("save-map", "loop-map.zip"),
-        ("save-trajectory", "loop-trajectory.tum"),
-    ):
-        click(page, button)
-        wait(lambda name=name: (page.downloads / name).is_file(), name)
-    saved = wait(lambda: zipfile.is_zipfile(page.downloads / "loop-map.zip"), "all of the map")
-    assert saved
-    assert len(read_tum(page.downloads / "loop-trajectory.tum")) == len(read_tum(out / "trajectory.tum"))

@@ -1,4 +1,4 @@
-"""The checks of ROS 2: the same for the node by rclpy and by its own RTPS, both beside programs of rclpy."""
+"""The checks of ROS 2: the node beside programs of rclpy."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ import pytest
 
 from gridslam.io.measurement import Measurement
 from gridslam.sim import LidarConfig, OdometryNoise, RobotConfig, make_world, simulate
-from support.dds_peer import Node, free_domain
+from support.ros2_process import Node, free_domain
 
 rclpy = pytest.importorskip("rclpy", reason="no ROS 2 here: .ci/ros2 makes one and runs these tests")
 
@@ -31,25 +31,20 @@ def drive() -> list[Measurement]:
     return list(log.measurements)[:240]
 
 
-@pytest.fixture(scope="package", params=["dds", "rclpy"])
-def transport(request: pytest.FixtureRequest) -> str:
-    return request.param
-
-
 @pytest.fixture
 def domain() -> int:
     return free_domain()
 
 
 @pytest.fixture
-def start(transport: str, domain: int, tmp_path: Path) -> Iterator[Callable[..., Node]]:
+def start(domain: int, tmp_path: Path) -> Iterator[Callable[..., Node]]:
     """Start nodes, which end with the test."""
     nodes: list[Node] = []
 
     def begin(*arguments: str, options: tuple[str, ...] = (), domain: int = domain) -> Node:
         log = tmp_path / f"{len(nodes)}.log"
         given = *options, "--ros-args", *QUICK, *arguments
-        nodes.append(Node(domain, log, *given, transport=transport))
+        nodes.append(Node(domain, log, *given))
         assert nodes[-1].says("waiting for "), log.read_text()
         return nodes[-1]
 

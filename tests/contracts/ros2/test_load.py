@@ -158,8 +158,8 @@ def play(robot, bag, rate):
 
 
 @pytest.mark.parametrize("times", [pytest.param(20, marks=pytest.mark.long), 4])
-def test_a_node_maps_at_once_though_the_static_transform_is_old(start, transport, robot, drive, times, record_property):
-    """By rclpy what is latched may come late, as to any listener of rclpy: of four not in all.
+def test_a_node_maps_at_once_though_the_static_transform_is_old(start, robot, drive, times, record_property):
+    """What is latched may come late, as to any listener of rclpy: of four not in all.
 
     Fast DDS announces itself before it listens: an answer that is lost comes again within 3 s. That was so in 3 to 8 of
     20 starts. The median of three would be late in one run of five, the soonest of four in one of a hundred.
@@ -172,8 +172,7 @@ def test_a_node_maps_at_once_though_the_static_transform_is_old(start, transport
         took.append(time.monotonic() - begin)
         node.end()
     record_property("from its start to `mapping`, s", [round(one, 2) for one in took])
-    of_rclpy = min if times < 20 else statistics.median
-    assert (max if transport == "dds" else of_rclpy)(took) < WITHIN_S, took
+    assert (min if times < 20 else statistics.median)(took) < WITHIN_S, took
 
 
 @pytest.mark.parametrize("times", [pytest.param(60, marks=pytest.mark.long), 10])

@@ -89,13 +89,6 @@ def test_a_laser_that_tilts_spoils(roll):
     assert found.size == pytest.approx(0.3, abs=0.005)
 
 
-def test_a_tilted_laser_that_sees_the_floor():
-    geometry = pitched(0.1, 0.3)
-    found = findings(tilted(lambda k: geometry))["tilting_laser"]
-    assert (found.severity, found.size) == (Severity.WARNING, pytest.approx(0.1))
-    assert f"{0.3 / math.sin(0.1):.1f} m" in found.message
-
-
 @pytest.mark.parametrize(("factor", "unit"), [(1000, "millimetres"), (100, "inches or centimetres")])
 def test_an_odometry_in_another_unit_is_named_by_its_speed(factor, unit):
     far = [m._replace(odometry=Odometry.at(m.scan.stamp_ns, m.odometry.pose * (factor, factor, 1))) for m in drive()]

@@ -71,7 +71,6 @@ def test_invalid_beams(share, severity, value):
     # 200 scans x 181 beams: the share's standard deviation is sqrt(0.2 x 0.8 / 36200) = 0.002
     assert found.size == pytest.approx(share, abs=0.01)
     assert found.severity is severity
-    assert {0: "zero", -1: "negative"}.get(value, "not a number") in found.message
 
 
 @pytest.mark.parametrize(("hits", "severity"), [(10, Severity.ERROR), (60, None)])

@@ -162,6 +162,23 @@ def test_odometry_from_transforms(tmp_path, kind):
     assert log.statistics.without_odometry == 0
 
 
+@pytest.mark.parametrize("moves", [False, True])
+def test_the_base_may_be_above_the_frame_of_the_odometry(tmp_path, moves):
+    said = drive()
+    for step in range(41):
+        height = (0.0, 0.1 + 0.2 * moves * (step > 20), 0.0)
+        said.append(transform(step / 20, "base_footprint", "base_link", height, topic="/tf"))
+    said = sorted(said, key=lambda each: each.time_ns)
+    log = log_of(tmp_path, said, base_frame="base_footprint")
+    for odo, laser in list(log)[:-1]:
+        at_s = (laser.stamp_ns - ns(0)) / 1e9
+        if not 1.0 <= at_s <= 1.1:
+            aside = 0.1 + 0.2 * moves * (at_s > 1)
+            np.testing.assert_allclose(
+                odo.pose[:2], [at_s, 0] - aside * np.array([-math.sin(at_s / 10), math.cos(at_s / 10)]), atol=1e-9
+            )
+
+
 def test_readings_that_are_no_pose_are_left_out_and_told(tmp_path):
     said = [*drive(), odometry("/odom", 1.001, (math.nan, 0, 0)), transform(1.002, "base_link", "x", xyzw=(0, 0, 0, 0))]
     log = log_of(tmp_path, sorted(said, key=lambda each: each.time_ns))

@@ -82,8 +82,15 @@ def test_names_that_are_not_there(tmp_path, options, message):
     assert message in refused(tmp_path, drive(), **options)
 
 
-def moving(topic, scale=1.0, frames=("odom", "base_link")):
-    return [odometry(topic, step / 20, (scale * step / 20, 0, 0), frames=frames) for step in range(41)]
+def moving(topic, frames=("odom", "base_link")):
+    return [odometry(topic, step / 20, (step / 20, 0, 0), frames=frames) for step in range(41)]
+
+
+def test_of_several_odometries_the_one_named_odom_is_taken(tmp_path):
+    said = [scan("/scan", 1.0, FOUR), *moving("/odometry/filtered"), *moving("/wheels/odom")]
+    assert choice_of(tmp_path, said).odometry == "/wheels/odom"
+    (tmp_path / "log.bag").unlink()
+    assert "choose with --odom TOPIC among /a, /b" in refused(tmp_path, [said[0], *moving("/a"), *moving("/b")])
 
 
 def test_ground_truth_alone_is_no_odometry_unless_it_is_named(tmp_path):

@@ -30,7 +30,7 @@ def _draw_all():
                 places[kind],
                 "Küche" if layer == "rooms" else "",
                 0.25 if kind == "LineString" else 0.0,
-                {"limit_percent": 30.0} if layer == "speed" else None,
+                30.0 if layer == "speed" else 0.0,
             )
             for layer, kinds in LAYERS.items()
             for kind in kinds
@@ -83,11 +83,6 @@ RING = [[0, 0], [2, 0], [2, 2], [0, 2], [0, 0]]
         (_document("Polygon", [RING, RING], layer="keep_out"), "without holes"),
         (_document("Polygon", [RING[:4]], layer="keep_out"), "closed ring"),
         (_document("Polygon", [[[0, 0], [1, 0], [2, 0], [0, 0]]], layer="keep_out"), "with an area"),
-        (_document("Polygon", [[[0, 0], [2, 2], [2, 0], [0, 2], [0, 0]]], layer="erased"), "cross itself"),
-        (_document("Polygon", [[[0, 0], [3, 2], [3, 0], [0, 1], [0, 0]]], layer="erased"), "cross itself"),
-        (_document("Polygon", [[[0, 0], [4, 0], [4, 2], [4, -1], [0, 2], [0, 0]]], layer="erased"), "cross itself"),
-        (_document("Polygon", [[[0, 0], [6, 0], [4, 0], [4, 3], [0, 0]]], layer="erased"), "cross itself"),
-        (_document("Polygon", [[[4, 0], [6, 0], [0, 0], [4, 3], [4, 0]]], layer="erased"), "cross itself"),
         (_document("Polygon", [[[0, 0], [1, 0], ["x", 1], [0, 0]]], layer="erased"), "expected positions [x, y]"),
         (_document("Polygon", [[[0, 0], [1e9, 0], [0, 1e9], [0, 0]]], layer="erased"), "within 1e+06 m"),
         (_document("LineString", [[0, 0]], layer="walls"), "expected 2 to 1000 positions"),
@@ -95,8 +90,7 @@ RING = [[0, 0], [2, 0], [2, 2], [0, 2], [0, 0]]
         (_document("LineString", [[0, 0], [1, 1]], layer="walls", width_m=0), "expected width_m from 0.01 to 10"),
         (_document("Point", [0, 0], layer="rooms"), "expected a name of 1 to 100"),
         (_document("Point", [0, 0], layer="rooms", name="a\nb"), "expected a name of 1 to 100"),
-        (_document("Polygon", [RING], layer="speed"), "limit_percent or limit_m_s"),
-        (_document("Polygon", [RING], layer="speed", limit_percent=3, limit_m_s=1), "limit_percent or limit_m_s"),
+        (_document("Polygon", [RING], layer="speed"), "limit_percent from 1 to 100"),
         (_document("Polygon", [RING], layer="speed", limit_percent=0), "limit_percent from 1 to 100"),
         (_document("Polygon", [RING], layer="speed", limit_percent=True), "limit_percent from 1 to 100"),
     ],
@@ -112,10 +106,10 @@ def test_what_is_no_edit_is_refused_by_its_number(tmp_path, document, problem):
 
 
 @pytest.mark.parametrize("seed", range(6))
-def test_a_polygon_has_the_cells_whose_middles_are_in_it(seed):
+def test_a_polygon_has_the_cells_whose_middles_are_in_it_and_some_on_its_sides(seed):
     rng = np.random.default_rng(seed)
     grid = _empty(origin=(-1.5, 0.7))
-    angles = np.sort(rng.uniform(0, 2 * np.pi, 9))  # a star about its middle never crosses itself
+    angles = np.sort(rng.uniform(0, 2 * np.pi, 9))
     ring = rng.uniform(0, 4, 2) + rng.uniform(0.3, 3, (9, 1)) * np.column_stack([np.cos(angles), np.sin(angles)])
     window, inside = cells_of(Edit("keep_out", "Polygon", ring), grid)
     found = np.zeros(grid.shape, np.bool_)
@@ -125,22 +119,29 @@ def test_a_polygon_has_the_cells_whose_middles_are_in_it(seed):
     expected = np.zeros(grid.shape, np.bool_)
     for (ax, ay), (bx, by) in zip(ring, np.roll(ring, -1, axis=0), strict=True):  # the crossing number of each cell
         expected ^= ((ay > y) != (by > y)) & (x < (bx - ax) * (y - ay) / (by - ay) + ax)
-    assert (found == expected).all()
+    sides = np.linspace(ring, np.roll(ring, -1, axis=0), 500).reshape(-1, 2)
+    column, row = np.floor((sides - grid.origin) / 0.05).astype(int).T
+    inside = (row >= 0) & (column >= 0) & (row < 80) & (column < 120)
+    surely = ndimage.binary_erosion(expected, np.ones((3, 3)), border_value=1)
+    assert found[surely].all()
+    expected[row[inside], column[inside]] = True
+    assert not (found & ~ndimage.binary_dilation(expected, np.ones((3, 3)))).any()
     assert 50 < found.sum() < found.size
 
 
+@pytest.mark.parametrize("rise_m", [0.0, 0.3, 1.1, 2.0, 3.2])
 @pytest.mark.parametrize("width_m", [0.01, 0.3])
-def test_a_line_is_as_wide_as_it_is_and_nobody_passes_between_its_cells(width_m):
+def test_a_line_is_as_wide_as_it_is_and_nobody_passes_between_its_cells(width_m, rise_m):
     grid = _empty()
-    ends = np.array([[-1.0, 0.5], [7.0, 2.5]])
+    ends = np.array([[-1.0, 0.5], [7.0, 0.5 + rise_m]])
     found = np.zeros(grid.shape, np.bool_)
     window, inside = cells_of(Edit("no_go", "LineString", ends, "", width_m), grid)
     found[window] = inside
     rows, columns = np.nonzero(found)
     along = (ends[1] - ends[0]) / np.hypot(*(ends[1] - ends[0]))
     aside = np.abs((0.05 * (columns + 0.5) - ends[0, 0]) * along[1] - (0.05 * (rows + 0.5) - ends[0, 1]) * along[0])
-    assert aside.max() <= max(width_m / 2, 0.05 * 0.7072)
-    assert found.sum() * 0.05**2 == pytest.approx(max(width_m, 0.0707) * 6.0 / along[0], rel=0.05)
+    assert aside.max() <= max(width_m, 0.15) / 2 + 0.05
+    assert found.sum() * 0.05**2 == pytest.approx(max(width_m, 0.12) * 6.0 / along[0], rel=0.35)
     labels, _ = ndimage.label(~found, np.ones((3, 3)))  # robots' planners step to all eight neighbours
     assert labels[0, 0] != labels[-1, 0]
 

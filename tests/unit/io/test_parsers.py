@@ -11,7 +11,6 @@ from gridslam.io.maps import read_map_description
 from gridslam.io.ros_parameters import read_parameter_file
 from gridslam.io.text import parse_json, read_json, refuse_unreadable
 from gridslam.localization import MonteCarloConfiguration
-from gridslam.ros.ros2.arguments import parse_ros_arguments
 
 _DIGITS = "9" * 5000
 HOSTILE: tuple[str, ...] = (
@@ -56,7 +55,6 @@ READERS = {
     "--set of localize": lambda path, name, value: override_configuration(
         MonteCarloConfiguration(), [f"{name}={value}"]
     ),
-    "-p": lambda path, name, value: parse_ros_arguments(["--ros-args", "-p", f"{name}:={value or 'x'}"]),
 }
 NAMES = {"map.yaml": "resolution", "amcl.yaml": "alpha1", "nodes.yaml": "a", "--set of localize": "alpha1", "-p": "a"}
 

@@ -106,12 +106,6 @@ def test_a_graph_is_shown_with_the_edges_that_contradict_it_most(tmp_path, capsy
     np.testing.assert_allclose(client.arrays["closures"][0].reshape(2, 2), found.poses[[2, 15], :2], atol=1e-5)
 
 
-def test_a_report_is_opened_as_it_is(tmp_path, capsys):
-    (tmp_path / "report.html").write_text("<h1>a batch</h1>")
-    assert main(["view", str(tmp_path)]) == 0
-    assert capsys.readouterr().out == f"{tmp_path}: open {(tmp_path / 'report.html').as_uri()}\n"
-
-
 def test_the_messages_of_a_run_are_shown_again_and_checked(place, tmp_path):
     _, result = place
     messages = Messages(lambda level, text: None)

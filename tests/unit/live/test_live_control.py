@@ -56,7 +56,6 @@ def test_a_pause_holds_the_next_scan_and_gives_time_to_others(held):
     stays(0, lambda: runner.taken)
     idle = runner.idle
     assert idle >= 1
-    control.wake()
     wait_until(lambda: runner.idle > idle)
     assert runner.taken == 0
     control.resume()

@@ -19,7 +19,7 @@ from support.loops import loop_drive
 
 def run_of(control):
     live = LiveRun("loop", control)
-    live.observer = LiveObserver(live.apply, Control(), MappingMonitor(30.0))
+    live.observer = LiveObserver(live.apply, Control(), MappingMonitor())
     return live
 
 

@@ -47,7 +47,7 @@ def looking(replay):
 
 def test_any_time_can_be_looked_at_in_any_order(replay, history):
     viewer, client = looking(replay)
-    stamps_ns = np.append(history.stamps_ns[:-1], replay.trajectory(0).stamps_ns[-1])  # the last one ends with the log
+    stamps_ns = np.append(history.stamps_ns[:-1], replay.results.trajectory.stamps_ns[-1])  # as the log ends
     last = len(stamps_ns) - 1
     for at in (0, 50, 49, last, 7, 120):
         viewer.command({"do": "seek", "at": at})
@@ -77,7 +77,7 @@ def test_without_a_history_the_end_is_shown(out, tmp_path):
 def test_the_end_is_that_of_the_log(replay):
     """Scans that follow the last key scan are counted, and the robot is where it was last."""
     _, client = looking(replay)
-    end = replay.trajectory(0)
+    end = replay.results.trajectory
     assert client.status["scans"] == len(end)
     assert client.status["pose"] == end.poses[-1].tolist()
     assert client.status["total_s"] == pytest.approx((end.stamps_ns[-1] - end.stamps_ns[0]) * 1e-9)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -150,31 +149,6 @@ def test_an_observation_that_two_landmarks_explain_alike_corrects_by_their_mean(
     assert np.linalg.eigvalsh(start.covariance - guessed.covariance).min() > -1e-12
     assert np.linalg.eigvalsh(guessed.covariance - told.covariance).min() > -1e-12
     assert np.trace(guessed.covariance) > np.trace(told.covariance) + 1e-3
-
-
-def test_errors_of_a_landmark_are_common_to_its_observations_for_a_while():
-    """A landmark that is seen again at once teaches less than a second one; what is not seen is forgotten."""
-    sensor = DepthBearing(correlated_share=0.8, correlation_s=10.0)
-    ekf = EkfLocalization(KnownLandmarks.of([1, 2], [[4.0, 0.5], [4.0, -0.5]]), sensor)
-    start = ekf.init(np.zeros(3), SOME)
-
-    def certainty(*names: int, passed_s: float = 0.0) -> float:
-        belief = start
-        for name in names:
-            exact, *_ = sensor.linearize(np.zeros(3), ekf.landmarks.positions[[name - 1]])
-            seen = replace(LandmarkObservations.of(exact, [name]), passed_s=passed_s)
-            belief, _ = ekf.step(belief, STILL, seen)
-        return -float(np.linalg.slogdet(belief.covariance)[1])
-
-    assert certainty(1, 1) < certainty(1, 1, passed_s=100.0) < certainty(1, 2) + 1.0
-    assert certainty(1, 1) < certainty(1, 2)
-    exact, *_ = sensor.linearize(np.zeros(3), ekf.landmarks.positions)
-    once, _ = ekf.step(start, STILL, LandmarkObservations.of(exact[:1], [1]))
-    assert (len(once.mean), once.seen.tolist()) == (5, [0])
-    soon, _ = ekf.step(once, STILL, replace(NO_OBSERVATIONS, passed_s=40.0))
-    assert (len(soon.mean), soon.seen.tolist()) == (5, [0])
-    later, _ = ekf.step(once, STILL, replace(LandmarkObservations.of(exact[1:], [2]), passed_s=60.0))
-    assert (len(later.mean), later.seen.tolist()) == (5, [1])
 
 
 def test_arguments():

@@ -1,10 +1,8 @@
-"""Masks of nav2's filters have the values that its table of values asks for, in both modes of map_server."""
+"""Masks of nav2's filters have the values that its table of values asks for."""
 
 import numpy as np
-import pytest
 from PIL import Image
 
-from gridslam.errors import ArgumentError
 from gridslam.io.edits import Edit, Edits
 from gridslam.io.maps import occupancy_percent, read_map_description, read_map_image
 from gridslam.io.yaml import parse_yaml
@@ -18,75 +16,61 @@ def _box(x, y, x2, y2):
     return np.array([[x, y], [x2, y], [x2, y2], [x, y2]], float)
 
 
-def _speed(x, x2, **limits):
-    return Edit("speed", "Polygon", _box(x, 2.0, x2, 4.0), limits=limits)
+def _speed(x, x2, percent):
+    return Edit("speed", "Polygon", _box(x, 2.0, x2, 4.0), limit_percent=percent)
 
 
 def _values_of_map_server(yaml_path):
     """What nav2's map_server publishes, by its source (map_io.cpp, loadMapFromFile) and another reader of images."""
     fields = parse_yaml(yaml_path.read_text())
     shade = np.asarray(Image.open(yaml_path.parent / fields["image"]), float)[::-1] / 255
-    if fields["mode"] == "raw":
-        value = np.round(shade * 255)
-        return np.where((value >= 0) & (value <= 100), value, -1)
     occupied = 1 - shade if not fields["negate"] else shade
     low, high = fields["free_thresh"], fields["occupied_thresh"]
     between = np.rint((occupied - low) / (high - low) * 100.0)
     return np.where(occupied > high, 100, np.where(occupied < low, 0, between))
 
 
-@pytest.mark.parametrize("mode", ["scale", "raw"])
-def test_map_server_reads_every_value_as_it_is(tmp_path, mode):
+def test_map_server_reads_every_value_as_it_is(tmp_path):
     values = np.resize(np.arange(101, dtype=np.int8), GRID.shape)
-    write_mask(tmp_path / "m.yaml", Mask(values, 0), GRID, mode)
+    write_mask(tmp_path / "m.yaml", Mask(values, 0), GRID)
     assert (_values_of_map_server(tmp_path / "m.yaml") == values).all()
     description = read_map_description(tmp_path / "m.yaml")
     assert (occupancy_percent(read_map_image(tmp_path / "m.pgm"), description) == values).all()
-    assert (description.origin, description.resolution_m, description.mode) == ((-1.0, 2.0), 0.1, mode)
+    assert (description.origin, description.resolution_m, description.mode) == ((-1.0, 2.0), 0.1, "scale")
 
 
-def test_robots_are_kept_out_of_polygons_and_lines_and_lanes_are_cheap():
+def test_robots_are_kept_out_of_polygons_and_lines():
     zone = Edit("keep_out", "Polygon", _box(0.0, 2.0, 1.0, 3.0))
     line = Edit("no_go", "LineString", np.array([[2.05, 2.0], [2.05, 4.0]]), width_m=0.1)
-    lane = Edit("lanes", "LineString", np.array([[-1.0, 3.5], [3.0, 3.5]]), width_m=0.4)
-    without = make_keepout_mask(GRID, Edits((zone, line))).values
-    assert set(np.unique(without)) == {0, 100}
-    assert (without == 100).sum() == 10 * 10 + 20
-    mask = make_keepout_mask(GRID, Edits((lane, zone, line)), 40)
+    mask = make_keepout_mask(GRID, Edits((zone, line)))
     assert mask.kind == 0
-    assert ((mask.values == 100) == (without == 100)).all()  # a lane opens no zone
-    assert (mask.values[13:17, :30] == 0).all()
-    assert mask.values[0, -1] == 40
+    assert set(np.unique(mask.values)) == {0, 100}
+    assert (mask.values[:10, 10:20] == 100).all()
+    assert (mask.values[:, 30] == 100).all()
+    assert (mask.values == 100).sum() <= 12 * 11 + 2 * 20
+
+
+def test_nobody_passes_between_the_cells_of_an_oblique_line():
+    line = Edit("no_go", "LineString", np.array([[-0.9, 2.1], [2.9, 3.8]]), width_m=0.1)
+    mask = make_keepout_mask(GRID, Edits((line,)))
+    for column in range(3, 37):
+        rows = np.flatnonzero(mask.values[:, column])
+        beside = np.flatnonzero(mask.values[:, column + 1])
+        assert set(rows) & set(beside), "4-connected"
 
 
 def test_the_lowest_speed_holds_where_zones_overlap():
-    mask = make_speed_mask(GRID, Edits((_speed(-1, 2, limit_percent=60.0), _speed(0, 1, limit_percent=20.0))))
-    assert (mask.kind, mask.multiplier) == (1, 1.0)
-    assert (mask.values == np.repeat([60, 20, 60, 0], 10)).all()
-    assert make_speed_mask(GRID, Edits()) is None
-
-
-@pytest.mark.parametrize("limits", [(0.5, 0.3), (1.0, 0.337), (0.25, 0.011)])
-def test_limits_in_m_s_are_never_raised(limits):
-    fast, slow = limits
-    mask = make_speed_mask(GRID, Edits((_speed(-1, 1, limit_m_s=fast), _speed(1, 3, limit_m_s=slow))))
-    assert mask.kind == 2
-    found = mask.values[0, [0, -1]] * mask.multiplier
-    assert found[0] == pytest.approx(fast)
-    assert slow - 0.01 * fast < found[1] <= slow + 1e-9
-
-
-def test_limits_of_two_units_are_refused():
-    with pytest.raises(ArgumentError, match="in percent or in m/s, not both"):
-        make_speed_mask(GRID, Edits((_speed(-1, 1, limit_m_s=0.5), _speed(1, 3, limit_percent=20.0))))
+    mask = make_speed_mask(GRID, Edits((_speed(0, 1, 20.0), _speed(-1, 2, 60.0))))
+    assert mask.kind == 1
+    assert (mask.values[10, [3, 15, 25, 35]] == [60, 20, 60, 0]).all()
 
 
 def test_the_parameters_name_the_files_topics_and_plugins_of_nav2():
     empty = np.zeros(GRID.shape, np.int8)
-    tree = parse_yaml(describe_filters({"keepout": Mask(empty, 0), "speed": Mask(empty, 2, 0.005)}))
+    tree = parse_yaml(describe_filters({"keepout": Mask(empty, 0), "speed": Mask(empty, 1)}))
     costmap = tree["global_costmap"]["global_costmap"]["ros__parameters"]
     assert costmap["filters"] == ["keepout_filter", "speed_filter"]
-    for name, plugin, kind in (("keepout", "KeepoutFilter", 0), ("speed", "SpeedFilter", 2)):
+    for name, plugin, kind in (("keepout", "KeepoutFilter", 0), ("speed", "SpeedFilter", 1)):
         assert costmap[f"{name}_filter"]["plugin"] == f"nav2_costmap_2d::{plugin}"
         info = tree[f"{name}_costmap_filter_info_server"]["ros__parameters"]
         server = tree[f"{name}_filter_mask_server"]["ros__parameters"]
@@ -95,6 +79,5 @@ def test_the_parameters_name_the_files_topics_and_plugins_of_nav2():
         assert info["mask_topic"] == server["topic_name"]
         assert server["yaml_filename"] == f"{name}_mask.yaml"
     assert costmap["speed_filter"]["speed_limit_topic"] == "speed_limit"
-    assert tree["speed_costmap_filter_info_server"]["ros__parameters"]["multiplier"] == 0.005
     nodes = tree["lifecycle_manager_costmap_filters"]["ros__parameters"]["node_names"]
     assert set(nodes) == {name for name in tree if name.endswith("server")}

@@ -6,9 +6,10 @@ import pytest
 from gridslam.config.tables import value_of
 from gridslam.errors import ConfigurationError
 from gridslam.io.maps import write_map
+from gridslam.io.ros_parameters import read_parameter_file
 from gridslam.ros.node.parameters import node_parameters
 from gridslam.ros.node.ros_node import RosNode
-from gridslam.ros.ros2.arguments import find_foreign_files, parse_ros_arguments
+from gridslam.ros.ros2.parameter_files import find_foreign_files
 from support.localization_world import flat_map
 from support.ros_node import LocalTransport
 
@@ -93,8 +94,8 @@ def amcl(tmp_path):
 
 
 def test_a_file_of_slam_toolbox_is_understood(slam_toolbox):
-    ros = parse_ros_arguments(["--ros-args", "-r", "__node:=slam_toolbox", "--params-file", str(slam_toolbox)])
-    found = node_parameters(ros.parameters, "default")
+    ((_, given),) = read_parameter_file(slam_toolbox)
+    found = node_parameters(given, "default")
     settings, configuration = found.settings, found.configuration
     assert (settings.odom_frame, settings.map_frame, settings.base_frame) == ("wheel_odom", "world", "base_footprint")
     assert (settings.transform_wait_s, settings.map_update_interval_s, settings.throttle_scans) == (0.2, 4.0, 2)
@@ -134,9 +135,8 @@ def test_wrong_values_are_named_as_they_were_given(given, says):
 
 def test_a_file_of_nav2_places_the_robot(amcl):
     arguments = ["--ros-args", "-r", "__node:=amcl", "--params-file", str(amcl)]
-    ros = parse_ros_arguments(arguments)
     assert find_foreign_files(arguments, "/amcl") == ()
-    found = node_parameters(ros.parameters, "default")
+    found = node_parameters(dict(read_parameter_file(amcl))["/amcl"], "default")
     pose, _ = found.configuration.initial_pose
     np.testing.assert_array_equal(pose, [1.5, 2.5, 0.5])
     assert found.configuration.configuration.kld.particles_max == 900

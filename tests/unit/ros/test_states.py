@@ -170,11 +170,6 @@ FAULTS = {
         "no scan accepted on /scan since",
         "scan refused: /scan: 3 beams",
     ),
-    "roscore has died": Fault(
-        lambda live: (live.play(), live.core.note_outage("no ROS master at http://robot:11311/")),
-        "no master",
-        "no ROS master at http://robot:11311/",
-    ),
     "a bag is played again": Fault(
         Live.restart, "running", "mapping", "starting a new map: time jumped back", level="error"
     ),
@@ -230,7 +225,7 @@ def test_page_log_and_diagnostics_report_the_same(name, tmp_path, monkeypatch, c
         core.close()
 
 
-_NOT_GREEN = "lost", "failed", "no scans", "no transforms", "no master", "waiting"
+_NOT_GREEN = "lost", "failed", "no scans", "no transforms", "waiting"
 
 
 def test_the_end_is_reported_and_run_json_has_the_messages_of_the_page(tmp_path, monkeypatch):
@@ -251,8 +246,7 @@ def test_of_several_states_the_most_urgent_one_is_reported():
     assert find_state(silent).name == "no transforms"
     assert find_state(replace(silent, received_s=90.0)).name == "no scans"
     assert find_state(replace(silent, is_paused=True)).name == "paused"
-    assert find_state(replace(silent, is_paused=True, outage="no master")).name == "no master"
-    assert find_state(replace(silent, outage="no master", is_closed=True)).name == "finished"
+    assert find_state(replace(silent, is_paused=True, is_closed=True)).name == "finished"
     assert find_state(replace(fine, lost=True, looking=True)).name == "looking"
     assert find_state(replace(fine, is_closed=True, failure="it")).name == "failed"
 

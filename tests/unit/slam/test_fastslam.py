@@ -1,7 +1,5 @@
 """FastSLAM 1.0 and 2.0: EKF mapping where the path is certain, the proposal against sampling, and the state."""
 
-from dataclasses import replace
-
 import checks
 import numpy as np
 import pytest
@@ -14,16 +12,13 @@ from gridslam.geometry.se2 import compose, transform_points
 from gridslam.models.association import NEW, LandmarkExistence, MaximumLikelihood
 from gridslam.models.landmark import NO_OBSERVATIONS, LandmarkObservations, RangeBearing, RelativePosition
 from gridslam.models.motion import DiffusionMotion, GaussianIncrement
-from gridslam.models.systematic_errors import NO_ERRORS
 from gridslam.particles.policies import AlwaysResample, NeverResample
-from gridslam.slam.landmarks.batch_association import BatchAssociation
 from gridslam.slam.landmarks.ekf_slam import EkfSlam
 from gridslam.slam.landmarks.fastslam1 import FastSlam1
 from gridslam.slam.landmarks.fastslam2 import FastSlam2
-from gridslam.slam.landmarks.filters import LandmarkFilters, SampledPoses
-from gridslam.slam.landmarks.particles import LandmarkParticles
-from gridslam.slam.landmarks.report import LandmarkMap
-from gridslam.slam.landmarks.small_gaussians import log_density, mahalanobis
+from gridslam.slam.landmarks.filters import LandmarkFilters
+from gridslam.slam.landmarks.particles import LandmarkParticles, PoseBelief
+from gridslam.slam.landmarks.small_gaussians import draw_poses, kalman_update, log_density, mahalanobis
 from support.landmark_world import INCREMENT, MOTION, dead_reckoning, drive, ring
 
 SENSOR = RangeBearing(sigma_range_m=0.1, sigma_bearing_rad=0.02)
@@ -202,7 +197,8 @@ def test_correspondences_are_drawn_by_their_likelihood_and_weighed_by_its_sum():
     rng, count = np.random.default_rng(16), 4000
     state, _ = slam.step(slam.init(count), STILL, LandmarkObservations.of([[3.0, 0.6], [3.0, -0.6]]), rng)
     seen, nothing = LandmarkObservations.of([[3.0, 0.1]]), np.full((count, 1), NEW)
-    columns, log_p, _ = slam.landmarks.correspond(state, seen, 0, SampledPoses(state.poses), nothing, rng)
+    belief = PoseBelief(state.poses, state.pose_covariances)
+    columns, log_p, _ = slam.landmarks.correspond(state, seen, 0, belief, nothing, rng)
     near, far = np.exp(-0.5 * np.array([0.5, 0.7]) ** 2 / 0.08) / (2 * np.pi * 0.08)  # S = 0.04 + 0.04 m^2
     new = np.exp(-0.5 * 25) / (2 * np.pi * 0.04)
     # A share p of 4,000 has a standard deviation of sqrt(p (1 - p) / 4000) < 0.008; five of them.
@@ -210,30 +206,32 @@ def test_correspondences_are_drawn_by_their_likelihood_and_weighed_by_its_sum():
     np.testing.assert_allclose(log_p, np.log(near + far + new), rtol=1e-9)
 
 
-def _associate(steps, **parameters):
-    slam = FastSlam2(LandmarkFilters(SENSOR, MaximumLikelihood()))
-    associate = BatchAssociation(slam, SENSOR, NO_ERRORS, particles=20, **parameters)
-    return associate([replace(step) for step in steps], MOTION, np.random.default_rng(0))
+def _covariances(rng, count):
+    root = rng.normal(size=(count, 3, 3))
+    return root @ root.swapaxes(1, 2)
 
 
-def test_each_landmark_of_a_ring_is_found_once():
-    steps, _ = drive(ring(12), 150, np.random.default_rng(1), SENSOR)
-    found = _associate(steps)
-    pairs = {
-        (name, true)
-        for ours, theirs in zip(found, steps, strict=True)
-        for value, name in zip(ours.observations.values.tolist(), ours.observations.landmarks.tolist(), strict=True)
-        for other, true in zip(theirs.observations.values.tolist(), theirs.observations.landmarks.tolist(), strict=True)
-        if value == other
-    }
-    assert len(pairs) == len({name for name, _ in pairs}) == len({true for _, true in pairs}) == 12
+def test_update_is_that_of_the_information_filter():
+    """Inverse covariances add up, P^-1 + H' Q^-1 H, and the mean is that of both: another way to the same numbers."""
+    rng, rows = np.random.default_rng(3), np.array([5, 0, 7])
+    P, means, H = _covariances(rng, 9), rng.normal(size=(9, 3)), rng.normal(size=(3, 2, 3))
+    Q, residuals = _covariances(rng, 3)[:, :2, :2], rng.normal(size=(3, 2))
+    after, moved = P.copy(), means.copy()
+    kalman_update(moved, after, rows, H, H @ P[rows] @ H.swapaxes(1, 2) + Q, residuals)
+    both = np.linalg.inv(P[rows]) + H.swapaxes(1, 2) @ np.linalg.solve(Q, H)
+    shifts = np.linalg.solve(both, H.swapaxes(1, 2) @ np.linalg.solve(Q, residuals[..., None]))[..., 0]
+    np.testing.assert_allclose(after[rows], np.linalg.inv(both), rtol=1e-6, atol=1e-8)
+    np.testing.assert_allclose(moved[rows], means[rows] + shifts, rtol=1e-6, atol=1e-8)
+    untouched = np.setdiff1d(np.arange(9), rows)
+    np.testing.assert_array_equal(after[untouched], P[untouched])
 
 
-def test_of_two_landmarks_at_one_place_that_are_never_seen_together_the_rarer_is_dropped():
-    """The copies (0, 2) and (1, 3) are 0.1 m apart, as those that are seen together (0, 1) are."""
-    positions = np.array([[0.0, 0.0], [0.1, 0.0], [0.0, 0.1], [0.1, 0.1], [9.0, 9.0]])
-    found = LandmarkMap(np.arange(5), positions, np.tile(1e-3 * np.eye(2), (5, 1, 1)), np.ones(5, np.int64))
-    seen = [[0, 1]] * 20 + [[2, 3]] * 10 + [[4]] * 5
-    associate = BatchAssociation(FastSlam2(LandmarkFilters(SENSOR, MaximumLikelihood())), SENSOR, NO_ERRORS)
-    assert associate._drop_copies([np.array(names) for names in seen], found).names.tolist() == [0, 1, 4]
-    assert associate._drop_copies([np.arange(5)] * 35, found).names.tolist() == [0, 1, 2, 3, 4]
+def test_what_has_no_variance_is_drawn_as_it_is():
+    C, means = _covariances(np.random.default_rng(0), 50) * 0.01, np.random.default_rng(1).normal(size=(50, 3)) * 0.5
+    C[::2, 1], C[::2, :, 1] = 0.0, 0.0
+    drawn = draw_poses(means, C, np.random.default_rng(2))
+    numbers = np.random.default_rng(2).standard_normal((50, 3))
+    np.testing.assert_array_equal(drawn[::2, 1], means[::2, 1])
+    np.testing.assert_allclose(
+        drawn[1::2], means[1::2] + (np.linalg.cholesky(C[1::2]) @ numbers[1::2, :, None])[..., 0], atol=1e-9
+    )

@@ -1,17 +1,16 @@
 """The graph of key scans: how uncertain one is as seen from another, by which way, and what corrections leave of it."""
 
 import copy
-import itertools
 import math
 
 import numpy as np
 import pytest
 
-from gridslam.geometry.se2 import between, compose
+from gridslam.geometry.se2 import between, compose, inverse
 from gridslam.serialization import from_arrays, to_arrays
 from gridslam.slam.loop_closure.constraints import Constraint, ConstraintSource
 from gridslam.slam.loop_closure.drift_model import DriftModel, propagate_covariances
-from gridslam.slam.loop_closure.key_graph import KEY_SCANS_PER_SUBMAP, UNKNOWN_VARIANCES, KeyGraph, position_sigmas
+from gridslam.slam.loop_closure.key_graph import UNKNOWN_VARIANCES, KeyGraph, position_sigmas
 from gridslam.tracking.state import UnmatchedMotion
 
 DRIFT = DriftModel()
@@ -56,13 +55,8 @@ def propagated(graph, keys):
 def contents(graph):
     """All that is saved, and what follows from it."""
     saved = {name: (array.shape, array.tobytes()) for name, array in to_arrays(graph).items()}
-    tables = (graph._link_submaps, graph._links, graph._firsts, graph._steps)
-    derived = [table.array.tobytes() for table in tables]
-    return saved, np.array(graph._sums).tobytes(), derived, graph._link_places.copy(), graph._gap_counts.copy()
-
-
-def nearby(graph, limit_m=1e3, most=10**6):
-    return {found.submap: found for found in graph.find_nearby_submaps(len(graph) - 1, limit_m, most)}
+    links = [(link.pair, moments.tobytes()) for link, moments in zip(graph._links, graph._link_moments, strict=True)]
+    return saved, np.array(graph._sums).tobytes(), links, graph._gap_counts.copy()
 
 
 def test_variances_of_an_increment_grow_with_metres_and_radians():
@@ -95,63 +89,58 @@ def test_what_no_match_has_measured_is_added_to_the_covariance():
     )  # searches are generous
 
 
-@pytest.mark.parametrize("count", [1, 7, 10, 11, 95])
+@pytest.mark.parametrize("count", [2, 7, 95])
 def test_along_a_chain_the_covariance_is_the_propagated_one(count):
     graph = chain(count)
-    found = graph.find_nearby_submaps(len(graph) - 1, 1e3, 10**6)
-    assert [f.submap for f in found] == list(range((count - 1) // KEY_SCANS_PER_SUBMAP, -1, -1))
-    for submap, pose, covariance in found:
-        np.testing.assert_allclose(
-            pose, between(graph.tracked[submap * KEY_SCANS_PER_SUBMAP], graph.tracked[-1]), atol=1e-9
-        )
-        expected = propagated(graph, range(submap * KEY_SCANS_PER_SUBMAP + 1, count))
-        np.testing.assert_allclose(covariance, expected, rtol=1e-6, atol=1e-9)
+    keys = np.arange(count)
+    poses, covariances = graph.locate(count - 1, keys)
+    for key, pose, covariance in zip(keys.tolist(), poses, covariances, strict=True):
+        np.testing.assert_allclose(pose, between(graph.tracked[key], graph.tracked[-1]), atol=1e-9)
+        np.testing.assert_allclose(covariance, propagated(graph, range(key + 1, count)), rtol=1e-6, atol=1e-9)
 
 
 @pytest.mark.parametrize("start", [(-300.0, 200.0, 1.0), (300.0, -200.0, -2.0), (-9.0, -9.0, 3.0)])
 def test_the_covariance_does_not_depend_on_where_the_map_has_its_origin(start):
-    here, there = chain(64), chain(64, start=start)
-    turn = start[2] - here.poses[0][2]
+    turn = start[2] - chain(2).poses[0][2]
     c, s = math.cos(turn), math.sin(turn)
     rotation = np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
-    for one, other in zip(
-        here.find_nearby_submaps(len(here) - 1, 1e3, 100),
-        there.find_nearby_submaps(len(there) - 1, 1e3, 100),
-        strict=True,
-    ):
-        assert one.submap == other.submap
-        expected = rotation @ one.covariance @ rotation.T
-        np.testing.assert_allclose(other.covariance, expected, rtol=1e-6, atol=1e-9)
+    (_, here), (_, there) = (graph.locate(63, np.arange(0, 63, 7)) for graph in (chain(64), chain(64, start=start)))
+    np.testing.assert_allclose(there, rotation @ here @ rotation.T, rtol=1e-6, atol=1e-9)
 
 
 @pytest.mark.parametrize("seed", range(10))
 def test_no_way_through_the_graph_is_more_certain(seed):
-    """Against all ways without a cycle; the trace of the position's covariance is additive along a way."""
+    """By relaxing all steps again and again; the trace of the position's covariance is additive along a way."""
     graph = chain(68, seed)
     rng = np.random.default_rng(seed)
-    for _ in range(4):
+    for _ in range(6):
         from_, to = sorted(rng.choice(68, 2, replace=False).tolist())
-        if to // KEY_SCANS_PER_SUBMAP > from_ // KEY_SCANS_PER_SUBMAP + 1:
+        if to > from_ + 10:
             graph.add(constraint(graph, from_, to, float(rng.choice([1e2, 1e4]))))
-    ways = {submap: {} for submap in range(7)}
-    for (a, b), link in zip(graph._link_submaps.array.tolist(), graph._links.array, strict=True):
-        ways[a][b] = link[3:]
-    for submap, moments in enumerate(graph._steps.array):
-        ways[submap][submap + 1] = ways[submap + 1][submap] = moments
-    least = dict.fromkeys(range(6), np.inf)
-    start = graph._sums[-1] - graph._sums[60]
-    for length in range(1, 7):
-        for way in itertools.permutations(range(6), length):
-            hops = list(itertools.pairwise((6, *way)))
-            if all(b in ways[a] for a, b in hops):
-                total = start + sum(ways[a][b] for a, b in hops)
-                covariance = propagate_covariances(graph.poses[-1], total[None])[0]
-                least[way[-1]] = min(least[way[-1]], np.trace(covariance[:2, :2]))
-    found = nearby(graph)
-    for submap, variance in least.items():
-        assert np.trace(found[submap].covariance[:2, :2]) == pytest.approx(variance, rel=1e-9)
-    traces = [np.trace(f.covariance[:2, :2]) for f in found.values()]
-    assert traces == sorted(traces)
+    steps = [(k, k + 1, graph._sums[k + 1] - graph._sums[k]) for k in range(67)]
+    steps += [(*link.pair, moments) for link, moments in zip(graph._links, graph._link_moments, strict=True)]
+    least = np.full(68, np.inf)
+    least[-1] = 0.0
+    for _ in range(68):
+        for a, b, moments in steps:
+            variance = np.trace(propagate_covariances(graph.poses[-1], moments[None])[0, :2, :2])
+            least[a], least[b] = min(least[a], least[b] + variance), min(least[b], least[a] + variance)
+    poses, covariances = graph.locate(67, np.arange(68))
+    np.testing.assert_allclose(np.trace(covariances[:, :2, :2], axis1=1, axis2=2), least, rtol=1e-6, atol=1e-9)
+    np.testing.assert_allclose(poses, between(np.array(graph.tracked), graph.tracked[-1]), atol=1e-9)
+    assert (least[:40] < np.trace(chain(68, seed).locate(67, np.arange(40))[1][:, :2, :2], axis1=1, axis2=2)).any()
+
+
+def test_a_way_by_a_constraint_leads_where_it_was_measured():
+    """In either direction, and on along the increments behind it."""
+    graph = chain(90)
+    tie = constraint(graph, 10, 80, off=(0.4, -0.3, 0.1))
+    graph.add(tie)
+    seen = compose(
+        between(graph.tracked[5], graph.tracked[10]), compose(tie.measurement, between(*graph.tracked[80:86:5]))
+    )
+    np.testing.assert_allclose(graph.locate(85, np.array([5]))[0][0], seen, atol=1e-9)
+    np.testing.assert_allclose(graph.locate(5, np.array([85]))[0][0], inverse(seen), atol=1e-9)
 
 
 def bent(graph, seed=3):
@@ -165,20 +154,19 @@ def bent(graph, seed=3):
 def test_a_correction_moves_poses_and_keeps_constraints():
     graph = chain(200)
     graph.add(constraint(graph, 15, 185, off=(0.4, -0.3, 0.1)))
-    constraints, before = copy.deepcopy(graph.constraints), nearby(graph)
+    keys = np.arange(199)
+    constraints, before = copy.deepcopy(graph.constraints), graph.locate(199, keys)[0]
     poses = bent(graph)
     graph.correct(poses)
     np.testing.assert_array_equal(np.array(graph.poses), poses)
     for one, other in zip(graph.constraints, constraints, strict=True):
         assert (one.from_, one.to, one.source) == (other.from_, other.to, other.source)
         np.testing.assert_array_equal(one.measurement, other.measurement)
-    after = nearby(graph)
-    for submap in range(20):  # relative poses are as tracked and as tied, whatever the map's poses
-        np.testing.assert_allclose(after[submap].pose, before[submap].pose, atol=1e-12)
-    for submap in (19, 18, 17):
-        expected = propagated(graph, range(submap * KEY_SCANS_PER_SUBMAP + 1, 200))
-        np.testing.assert_allclose(after[submap].covariance, expected, rtol=1e-6, atol=1e-9)
-    assert {1, 2, 0} < set(list(after)[:12])
+    after, covariances = graph.locate(199, keys)
+    near = np.r_[0:40, 170:199]  # which way is more certain to what lies between depends on the map's poses
+    np.testing.assert_allclose(after[near], before[near], atol=1e-9)  # relative poses are as tracked and as tied
+    for key in (190, 187):
+        np.testing.assert_allclose(covariances[key], propagated(graph, range(key + 1, 200)), rtol=1e-6, atol=1e-9)
 
 
 def test_near_in_time_things_lie_as_tracked_and_else_as_in_the_map():
@@ -198,8 +186,8 @@ def go_on(graph):
             graph.add(constraint(graph, 25, len(graph) - 1))
         if k == 20:
             graph.correct(bent(graph))
-    found = graph.find_nearby_submaps(len(graph) - 1, 1e3, 100)
-    return contents(graph), [(f.submap, f.pose.tobytes(), f.covariance.tobytes()) for f in found]
+    found = graph.locate(len(graph) - 1, np.arange(len(graph)))
+    return contents(graph), [each.tobytes() for each in found]
 
 
 @pytest.mark.parametrize("count", [1, 64])

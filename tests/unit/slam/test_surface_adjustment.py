@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import replace
 
 import numpy as np
@@ -10,7 +9,6 @@ import pytest
 
 from gridslam.evaluation import absolute_errors
 from gridslam.geometry.se2 import between, compose, rotate_covariances
-from gridslam.grid.scan_batch import ScanBatch
 from gridslam.matching.surfaces import Surfaces
 from gridslam.slam.full_slam import full_trajectory
 from gridslam.slam.full_slam.full_trajectory import (
@@ -21,13 +19,12 @@ from gridslam.slam.full_slam.full_trajectory import (
     scan_covariances,
 )
 from gridslam.slam.full_slam.key_covariances import key_covariances
-from gridslam.slam.full_slam.laser_errors import estimate_laser_errors
 from gridslam.slam.full_slam.surface_adjustment import adjust_key_scans, match_scans, share_information
 from gridslam.slam.loop_closure.drift_model import DriftModel
 from gridslam.slam.loop_closure.scan_archive import ScanArchive
 from gridslam.slam.pose_graph.marginals import marginal_covariances
 from gridslam.slam.pose_graph.pose_graph import PoseGraph
-from gridslam.types import StoredScan, Trajectory
+from gridslam.types import Trajectory
 from support import hall
 
 
@@ -157,46 +154,6 @@ def test_pairs_share_the_information_that_a_surface_leaves_which_is_not_known_it
     for pair, share in zip(pairs, share_information(pairs), strict=True):
         found[np.ix_(pair, pair)] += share / (2 * sigma**2) * np.array([[1, -1], [-1, 1]])
     np.testing.assert_allclose(found, expected, atol=1e-9 / sigma**2)
-
-
-_WIDE, _HIGH = 8.0, 6.0  # a room about the origin
-_NOISE_M = 0.01
-_SCANS = 60
-_PAIRS = np.array([(a, b) for b in range(_SCANS) for a in range(max(0, b - 16), b, 4)])
-
-
-def _poses() -> np.ndarray:
-    turns = np.linspace(0, math.tau, _SCANS, endpoint=False)
-    return np.column_stack([2 * np.cos(turns), 1.5 * np.sin(turns), turns + math.pi / 2])
-
-
-def _surfaces(offset_m: float, scale: float, origins: np.ndarray) -> Surfaces:
-    rng = np.random.default_rng(5)
-    bearings = np.radians(np.arange(-90.0, 90.0) + 0.1)
-    scans = []
-    for (x, y, theta), origin in zip(_poses(), origins, strict=True):
-        way = np.column_stack([np.cos(bearings + theta), np.sin(bearings + theta)])
-        room = np.where(way > 0, [_WIDE / 2 - x, _HIGH / 2 - y], [-_WIDE / 2 - x, -_HIGH / 2 - y])
-        ranges = (room / way).min(axis=1) + rng.normal(offset_m, _NOISE_M, len(bearings))
-        told = (1 + scale) * bearings
-        scans.append(StoredScan(np.column_stack([ranges * np.cos(told), ranges * np.sin(told)]) + origin, origin))
-    return Surfaces.of(ScanBatch.of(scans), 0.15)
-
-
-@pytest.mark.parametrize(("offset_m", "scale"), [(0.0, 0.0), (0.02, 0.0), (-0.02, 0.0), (0.0, 0.0056), (0.01, -0.0056)])
-def test_errors_are_found_within_four_standard_deviations(offset_m, scale):
-    found = estimate_laser_errors(_surfaces(offset_m, scale, np.zeros((_SCANS, 2))), _poses(), _PAIRS)
-    assert found.range_offset_sigma_m < 0.002
-    assert found.bearing_scale_sigma < 0.001
-    assert abs(found.range_offset_m - offset_m) < 4 * found.range_offset_sigma_m
-    assert abs(found.bearing_scale - scale) < 4 * found.bearing_scale_sigma
-
-
-def test_few_pairs_and_several_lasers_determine_nothing():
-    surfaces = _surfaces(0.02, 0.0, np.zeros((_SCANS, 2)))
-    assert estimate_laser_errors(surfaces, _poses(), _PAIRS[:10]) is None
-    two = _surfaces(0.02, 0.0, np.arange(2 * _SCANS).reshape(-1, 2) % 4 * 0.1)
-    assert estimate_laser_errors(two, _poses(), _PAIRS) is None
 
 
 def chain(steps, seed=0):

@@ -115,8 +115,10 @@ def test_a_frame_handed_to_another_parent():
             add(buffer, "robot", "box", second * S, pose(-1))
         if second == 5:
             assert buffer.planar("world", "box", 4 * S)[0] == 6
-        if second == 7:  # the world may speak yet
+        if second in (7, 9):  # the world may speak yet
             assert missing(buffer, "world", "box", 7 * S).coverage is Coverage.NOT_YET
+    assert ("robot", "/box") in buffer
+    assert ("world", "box") not in buffer
     assert buffer.planar("world", "box", 18 * S)[0] == 17
     assert "the link world <- robot is known" in str(missing(buffer, "world", "box", 20 * S))
 
@@ -161,21 +163,3 @@ def test_values_that_are_no_transform_are_refused():
     with pytest.raises(ArgumentError, match="translation"):
         buffer.add_quaternion("odom", "base", 0, (0, math.nan, 0), (0, 0, 0, 1))
     assert len(buffer) == 0
-
-
-def test_links_that_nothing_uses_expire_and_those_of_the_robot_stay():
-    """As on a network where somebody makes up names of frames."""
-    buffer = TransformBuffer(10.0, max_links=64)
-    for name, child in (("base_link", "laser"), ("base_link", "camera")):
-        add(buffer, name, child, 0, pose(0.1), static=True)
-    for k in range(5000):
-        add(buffer, "odom", "base_link", k * S // 10, pose(k / 10))
-        add(buffer, f"frame{k}" if k % 2 else "base_link", f"other{k}", k * S // 10, pose(), static=k % 3 == 0)
-        expected = k / 10 + 0.1
-        assert buffer.planar("odom", "laser", k * S // 10)[0] == pytest.approx(expected)
-    assert len(buffer._links) <= 64
-    assert len(buffer._around) <= 2 * 64
-    assert buffer.expired > 4900
-    assert ("base_link", "laser") in buffer
-    assert ("/base_link", "laser") in buffer
-    assert ("frame1", "other1") not in buffer

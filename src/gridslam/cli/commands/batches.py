@@ -29,7 +29,7 @@ class _BatchCommand(click.Command):
 @click.option("-o", "--out", type=OUTPUT_FOLDER, required=True, help="Output folder; created if missing.")
 @click.option(
     "--command",
-    type=click.Choice(["map", "doctor", "localize", "evaluate"]),
+    type=click.Choice(["map", "doctor", "localize"]),
     default="map",
     show_default=True,
     help="What to do with each log.",
@@ -55,9 +55,8 @@ def batch_command(**options: Any) -> int:  # noqa: ANN401
       gridslam batch logs -o OUT --workers 4 --timeout 600 -- --particles 15
       gridslam batch logs -o OUT --command doctor
 
-    Writes to OUT a folder for each log, with the files of the command and run.json, report.html, the page of all of
-    them, and runs.sqlite with a row for each log. The same command again runs what is missing. Exit status: 1 if a log
-    failed.
+    Writes to OUT a folder for each log, with the files of the command and run.json, and runs.sqlite with a row for each
+    log. The same command again runs what is missing, and what failed. Exit status: 1 if a log failed.
     """
     from gridslam.cli.batch import run_batch
 

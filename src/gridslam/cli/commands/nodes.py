@@ -62,14 +62,6 @@ def ros1_command(**options: Any) -> None:  # noqa: ANN401
 
 @click.command("ros2", context_settings=_NODE_SETTINGS)
 @node_options
-@click.option(
-    "--transport",
-    type=click.Choice(["auto", "rclpy", "dds"]),
-    default="auto",
-    show_default=True,
-    help="rclpy of a sourced ROS 2, or DDS without any ROS.",
-)
-@click.option("--interface", "interfaces", multiple=True, help="Network interface of DDS; repeatable.")
 def ros2_command(**options: Any) -> None:  # noqa: ANN401
     """Run the ROS 2 node: subscribes to /scan and /tf, publishes /map.
 

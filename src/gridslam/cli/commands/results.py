@@ -19,7 +19,7 @@ def view_command(**options: Any) -> None:  # noqa: ANN401
     """Show the results in OUT, or a map of a session, in the browser.
 
     A run is replayed, of map, localize, landmarks or demo; of grid and merge the map is shown, of graph the poses, the
-    edges and their residuals; batch and doctor have written a report, whose address is printed.
+    edges and their residuals.
     """
     from gridslam.cli.live import view
 
@@ -78,8 +78,8 @@ def regress_command(**options: Any) -> Any:  # noqa: ANN401
     """Compare NEW with OLD, two output folders of gridslam batch, and report changes for the worse beyond noise.
 
     Runs are paired by log and seed (the folders of their results). Errors, CPU time, memory and failures of each log
-    and of all logs together are tested by permutation, which assumes no distribution; --level bounds the probability
-    of any false alarm over all of them. At least five pairs are needed, such as five seeds of a log.
+    and of all logs together are tested by Student's t; --level bounds the probability of any false alarm over all of
+    them. At least five pairs are needed, such as five seeds of a log.
 
     Exit status: 1 if something became worse.
     """

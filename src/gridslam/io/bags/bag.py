@@ -10,15 +10,12 @@ from typing import NamedTuple, final
 
 from gridslam.errors import ArgumentError, InputError
 from gridslam.io.bags.rig import Rig
-from gridslam.io.bags.ros1 import Ros1Bag
-from gridslam.io.bags.ros2 import Ros2Bag
 from gridslam.io.bags.ros_messages import ScanMessage, kind_of
 from gridslam.io.bags.source import BagSource
 from gridslam.io.bags.survey import Choice, Decoded, Survey, choose, decoded_messages, find_scan_problem, survey
 from gridslam.io.log_statistics import LogStatistics
 from gridslam.io.measurement import Measurement
 from gridslam.io.selection import LogOptions
-from gridslam.io.text import open_for_reading
 from gridslam.transforms import Coverage
 from gridslam.types import FloatArray, LaserScan, Odometry, ScanGeometry
 
@@ -70,7 +67,7 @@ class BagLog:
     def __init__(self, path: str | Path, options: LogOptions = _ALL) -> None:
         """Look into the bag."""
         self.path = Path(path)
-        self._source = _open(self.path, options.keep_truncated)
+        self._source = BagSource(self.path, keep_truncated=options.keep_truncated)
         self._seen = survey(self._source)
         self.choice = choose(self._source, self._seen, options)
         self.statistics = self._new_statistics()
@@ -95,14 +92,6 @@ class BagLog:
             statistics.odometry_source = choice.odometry or f"{choice.odometry_frame} to {choice.base_frame} on /tf"
         statistics.remarks.update(_remarks(self._seen, choice))
         return statistics
-
-
-def _open(path: Path, keep_truncated: bool) -> BagSource:
-    if path.is_dir():
-        return Ros2Bag(path, keep_truncated=keep_truncated)
-    with open_for_reading(path) as file:
-        is_ros1 = file.read(8) == b"#ROSBAG "
-    return (Ros1Bag if is_ros1 else Ros2Bag)(path, keep_truncated=keep_truncated)
 
 
 def _remarks(seen: Survey, choice: Choice) -> Counter[str]:

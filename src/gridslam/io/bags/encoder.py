@@ -85,10 +85,6 @@ class MessageEncoder:
         except (SerdeError, struct.error, ValueError, IndexError) as error:
             raise MessageError(str(error)) from None
 
-    def type_hash(self, message_type: str) -> str:
-        """Return the hash by which ROS 2 from Iron on compares types: RIHS01_ and 64 hexadecimal digits."""
-        return self.store.hash_rihs01(_full_name(message_type))
-
     def fields(self, message_type: str) -> list[Field]:
         """Return the fields of a type in their order."""
         if message_type not in self._fields:

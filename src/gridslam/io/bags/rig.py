@@ -119,6 +119,7 @@ class Rig:
         start = choice.odometry_child if choice.odometry else choice.odometry_frame
         way = seen.way(start, self._base) if self._frame else None
         self._odometry_links = {step.link for step in way or ()}
+        self._upward = {step.link for step in way or () if choice.odometry and not step.down}
         self._moving = {step.link for step in (way or ())[:1] if not choice.odometry}
         mounts = [seen.way(self._base, seen.scans[name].frame) or [] for name in choice.scans]
         links = self._odometry_links.union(step.link for way in mounts for step in way)
@@ -143,11 +144,11 @@ class Rig:
         """Add a transform; return whether it may be odometry; raises ArgumentError if it is not a pose."""
         link = transform.parent, transform.child
         if link in self._moving:
-            pose = transform.pose
-            self._buffer.add_quaternion(*link, transform.stamp_ns, pose[:3], pose[3:])
+            pose = rigid.from_quaternion(transform.pose[:3], transform.pose[3:])
+            self._add(link, transform.stamp_ns, pose, static=False)
             self.latest_ns = transform.stamp_ns
             if link in self._followed:
-                self._follow(link, rigid.from_quaternion(pose[:3], pose[3:]))
+                self._follow(link, pose)
             return True
         before = self._reported.get(link)
         if before is None or transform.pose == before:
@@ -204,4 +205,7 @@ class Rig:
             raise
 
     def _add(self, link: tuple[str, str], stamp_ns: int, pose: Rigid, *, static: bool) -> None:
+        """Give a link to the buffer, which leads down from the odometry: a frame has one parent there."""
+        if link in self._upward:
+            link, pose = (link[1], link[0]), rigid.inverse(pose)
         self._buffer.add_quaternion(*link, stamp_ns, pose[:3], pose[3:], static)

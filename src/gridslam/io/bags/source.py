@@ -1,172 +1,174 @@
-"""The interface of bags of every format, their compression, and their errors."""
+"""Bags: a file of ROS 1, or of ROS 2 a folder or a single file of it (SQLite or mcap), also compressed by zstd."""
 
 from __future__ import annotations
 
-import bz2
-import importlib
-import sys
-from bisect import bisect_left
-from collections.abc import Collection, Iterable, Iterator, Mapping
-from operator import itemgetter
+import weakref
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import Any, NamedTuple, Protocol, final
-
-from lz4.frame import LZ4FrameDecompressor
+from tempfile import TemporaryDirectory
+from typing import final
 
 from gridslam.errors import InputError
-from gridslam.io.limits import UnpackingLimit, describe_bytes, max_memory_bytes
+from gridslam.io.bags.chunks import (
+    ZSTD_MAGIC,
+    ChunkedFile,
+    DamageError,
+    Message,
+    count_topics,
+    decompress,
+    decompress_file,
+)
+from gridslam.io.bags.mcap import MCAP_MAGIC, McapFormat
+from gridslam.io.bags.ros1 import ROS1_MAGIC, Ros1Format
+from gridslam.io.bags.sqlite import SQLITE_MAGIC, SqliteFile
+from gridslam.io.limits import UnpackingLimit
 from gridslam.io.log_statistics import Topic
+from gridslam.io.text import open_for_reading, read_text
+from gridslam.io.yaml import YamlError, parse_yaml
 
-Message = tuple[int, str, bytes]
-"""Time of its recording in ns, topic, serialized bytes."""
-
-ZSTD_MAGIC = b"\x28\xb5\x2f\xfd"
-"""First bytes of Zstandard, in which ROS 2 compresses the messages or the files of a bag."""
-
-_when = itemgetter(0)
-_BLOCK_BYTES = 1 << 20
-_MESSAGE_BYTES = 150  # that a message takes beside its data
+_NAMES = ("*.mcap", "*.db3", "*.mcap.zst*", "*.db3.zst*")
 
 
 @final
-class DamageError(Exception):
-    """A bag violates its format; reported to the user as an `InputError`."""
-
-
-class BagSource(Protocol):
+class BagSource:
     """A bag whose messages can be read in the order of their recording, again and again.
+
+    Its files come one after another, by the time of their first message.
+
+    Parameters
+    ----------
+    path : Path
+        A file, or the folder of a ROS 2 bag, whether there is a metadata.yaml in it or not.
+    keep_truncated : bool
+        Whether a file that was not closed, or ends early, or is damaged is read as far as it goes.
 
     Attributes
     ----------
-    path : Path
-        File or folder.
     topics : mapping of str to Topic
         All there are.
     is_ros1 : bool
         Whether messages are serialized as in ROS 1; else as in ROS 2.
     total_bytes, bytes_read : int
         Size, and how much of it the latest reading has taken in.
-    is_truncated : bool
-        Whether a part is missing, at the end or behind a damage; known at the latest once all has been read.
     missing_files : tuple of str
         Files that belong to it by its own list, and are not there.
+
+    Raises
+    ------
+    InputError
+        There is no such bag, or it is cut off or damaged.
     """
 
-    path: Path
-    topics: Mapping[str, Topic]
-    is_ros1: bool
-    total_bytes: int
-    bytes_read: int
-    missing_files: tuple[str, ...]
+    def __init__(self, path: Path, *, keep_truncated: bool = False) -> None:
+        """Open the files."""
+        self.path = path
+        self.bytes_read = 0
+        files = _files(path) if path.is_dir() else [path]
+        self.missing_files = _missing_files(path, files) if path.is_dir() else ()
+        self._storages = [_Storage(file, keep_truncated) for file in files]
+        self._storages.sort(key=lambda storage: storage.start_ns)
+        self.is_ros1 = any(storage.is_ros1 for storage in self._storages)
+        self.total_bytes = sum(storage.total_bytes for storage in self._storages)
+        self.topics: Mapping[str, Topic] = count_topics(
+            (name, topic.type, topic.messages) for storage in self._storages for name, topic in storage.topics.items()
+        )
 
     @property
     def is_truncated(self) -> bool:
-        """Whether a part is missing."""
-        ...
+        """Whether a part is missing, at the end or behind a damage; known at the latest once all has been read."""
+        return any(storage.is_truncated for storage in self._storages)
 
     def messages(self, topics: Collection[str]) -> Iterator[Message]:
-        """Messages of some topics in the order of recording; raises InputError where the bag cannot be read on."""
-        ...
+        """Yield messages of some topics in the order of recording; raises InputError where it cannot be read on."""
+        before = 0
+        for storage in self._storages:
+            bytes_per_ns = storage.total_bytes / max(storage.end_ns - storage.start_ns, 1)
+            for message in storage.messages(topics):
+                self.bytes_read = before + int((message[0] - storage.start_ns) * bytes_per_ns)
+                yield message
+            before += storage.total_bytes
+        self.bytes_read = before
 
 
-class Chunk(NamedTuple):
-    """A part of a bag that is read at once: time of its first message, ns, its place and whose messages it holds."""
+def _missing_files(folder: Path, files: Sequence[Path]) -> tuple[str, ...]:
+    """Files that the metadata.yaml of a bag lists and that are not there.
 
-    start_ns: int
-    position: int
-    connections: frozenset[int]
-
-
-def count_topics(found: Iterable[tuple[str, str, int]]) -> dict[str, Topic]:
-    """Sum up names, types and numbers of messages; of a name that stands for several types the first one counts."""
-    topics: dict[str, Topic] = {}
-    for name, kind, messages in found:
-        before = topics.get(name, Topic(kind, 0))
-        if before.type == kind:
-            topics[name] = Topic(kind, before.messages + messages)
-    return topics
-
-
-def merge_chunks(chunks: Iterable[tuple[int, Iterable[Message]]]) -> Iterator[Message]:
-    """Merge chunks, given as start time and messages by ascending start time, into one stream ordered by time.
-
-    Holds no more messages than overlap in time; those of one time stay in the order in which they came. Raises
-    DamageError where they take more memory than readers are allowed.
+    As many files beside it that it does not list are taken for the same ones by other names.
     """
-    waiting: list[Message] = []
-    held = 0
-    most = max_memory_bytes()
-    for start_ns, messages in chunks:
-        ready = bisect_left(waiting, start_ns, key=_when)
-        held -= _size_of(waiting[:ready])
-        yield from waiting[:ready]
-        del waiting[:ready]
-        before = len(waiting)
-        waiting.extend(messages)
-        held += _size_of(waiting[before:])
-        if held > most:
-            raise DamageError(f"chunks that overlap in time take more than the {describe_bytes(most)} of --max-memory")
-        waiting.sort(key=_when)
-    yield from waiting
+    try:
+        tree = parse_yaml(read_text(folder / "metadata.yaml"))
+        listed = tree["rosbag2_bagfile_information"]["relative_file_paths"]
+        names = [Path(name).name for name in listed]
+    except (InputError, YamlError, TypeError, KeyError, ValueError):
+        return ()
+    present = {file.name for file in files}
+    missing = [name for name in names if name not in present]
+    return tuple(missing) if len(present.difference(names)) < len(missing) else ()
 
 
-def _size_of(messages: Iterable[Message]) -> int:
-    """Estimate the memory of messages, bytes."""
-    return sum(len(data) + _MESSAGE_BYTES for _, _, data in messages)
-
-
-def truncation_error(path: Path, problem: str) -> InputError:
-    """Return the error of a bag that is damaged or cut off, with the way to read it up to there."""
-    one_line = "".join(letter if letter.isprintable() else "?" for letter in problem)  # bytes of the file among them
-    return InputError(path, f"{one_line}; --keep-truncated reads what is there")
-
-
-def decompress(compression: bytes, data: bytes, limit: UnpackingLimit, size: int = -1) -> bytes:
-    """Decompress a chunk or a message, by the name that bags give to the compression.
-
-    Gives `size` bytes at most if that is given, and less where `data` is cut off. Raises DamageError where they are
-    damaged, the compression is not known, or there are more bytes than `limit` leaves.
-    """
-    at_once = limit.at_once
-    if size > at_once:
-        raise DamageError(limit.problem)
-    if compression in (b"none", b""):
-        found = data
-    else:
-        zstd = _zstd()
-        known = {b"bz2": bz2.BZ2Decompressor, b"lz4": LZ4FrameDecompressor, b"zstd": zstd.ZstdDecompressor}
-        if compression not in known:
-            raise DamageError(f"it is compressed by '{compression.decode(errors='replace')}', which is not known")
-        try:
-            found = known[compression]().decompress(data, at_once + 1 if size < 0 else size)
-        except (OSError, ValueError, EOFError, RuntimeError, MemoryError, zstd.ZstdError) as error:
-            raise DamageError(f"its data cannot be decompressed: {error}") from None
-    if len(found) > at_once or not limit.take(len(found)):
-        raise DamageError(limit.problem)
+def _files(folder: Path) -> list[Path]:
+    """Return files of a bag, by their suffix: a recorder that is killed never writes its metadata.yaml."""
+    found = sorted({path for name in _NAMES for path in folder.glob(name)})
+    if not found:
+        raise InputError(folder, "expected the folder of a ROS 2 bag, got one without .db3 or .mcap files")
     return found
 
 
-def decompress_file(packed: Path, target: Path) -> str:
-    """Decompress a file (zstd) into another; returns why the latter is not whole, or an empty text.
+@final
+class _Storage:
+    """One file, unpacked for as long as this object lives."""
 
-    Raises InputError where it unpacks to more than is allowed, or than there is room for.
-    """
-    zstd = _zstd()
-    limit = UnpackingLimit(packed.stat().st_size)
-    with target.open("wb") as file:
+    def __init__(self, path: Path, keep_truncated: bool) -> None:
+        self.is_truncated = False
+        self._path = path
+        self._keep_truncated = keep_truncated
+        with open_for_reading(path) as file:
+            head = file.read(16)
+            self.total_bytes = file.seek(0, 2)
+        if head.startswith(ZSTD_MAGIC):
+            path = self._unpacked()
+            with path.open("rb") as file:
+                head = file.read(16)
+        log = self._path.with_name(self._path.name + "-wal")
+        if log.is_file() and log.stat().st_size:
+            self._cut(f"{log.name} beside it holds messages that SQLite has not merged: the recording was not ended")
+        self._reader = self._open(path, head)
+        if self._reader.problem:
+            self._cut(f"the file is damaged or cut off ({self._reader.problem})")
+        self.is_ros1 = self._reader.is_ros1
+        self.start_ns = self._reader.start_ns
+        self.end_ns = self._reader.end_ns
+        self.topics = self._reader.topics
+
+    def _open(self, path: Path, head: bytes) -> ChunkedFile | SqliteFile:
+        if head.startswith(ROS1_MAGIC):
+            return ChunkedFile(path, Ros1Format())
+        if head.startswith(MCAP_MAGIC):
+            return ChunkedFile(path, McapFormat())
+        if head.startswith(SQLITE_MAGIC):
+            return SqliteFile(path)
+        raise InputError(self._path, f"expected a ROS 1 bag, an mcap or SQLite file, got one that begins with {head!r}")
+
+    def messages(self, topics: Collection[str]) -> Iterator[Message]:
+        limit = UnpackingLimit(self.total_bytes)
         try:
-            with zstd.open(packed, "rb") as stream:
-                while block := stream.read1(_BLOCK_BYTES):
-                    if not limit.take(len(block)):
-                        raise InputError(packed, limit.problem)
-                    file.write(block)
-        except (zstd.ZstdError, EOFError, MemoryError) as error:
-            return f"it cannot be decompressed to its end: {error}"
-        except OSError as error:
-            raise InputError(packed, f"cannot be unpacked to {target.parent}: {error.strerror}") from None
-    return ""
+            for time_ns, topic, data in self._reader.messages(topics):
+                yield time_ns, topic, decompress(b"zstd", data, limit) if data.startswith(ZSTD_MAGIC) else data
+        except DamageError as damage:
+            self._cut(f"the file is damaged ({damage})")
 
+    def _unpacked(self) -> Path:
+        folder = TemporaryDirectory(prefix="gridslam")
+        weakref.finalize(self, folder.cleanup)
+        target = Path(folder.name) / "unpacked"
+        problem = decompress_file(self._path, target)
+        if problem:
+            self._cut(problem)
+        return target
 
-def _zstd() -> Any:  # noqa: ANN401
-    """Import the module of the standard library, or its backport for Python before 3.14, which rosbags brings."""
-    return importlib.import_module("compression.zstd" if sys.version_info >= (3, 14) else "backports.zstd")
+    def _cut(self, problem: str) -> None:
+        """Record that a part is missing, or raise if that is not accepted."""
+        self.is_truncated = True
+        if not self._keep_truncated:
+            one_line = "".join(letter if letter.isprintable() else "?" for letter in problem)  # bytes of the file
+            raise InputError(self._path, f"{one_line}; --keep-truncated reads what is there")

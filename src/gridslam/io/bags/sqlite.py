@@ -12,14 +12,13 @@ from contextlib import closing
 from pathlib import Path
 from typing import Any, final
 
-from gridslam.io.bags.source import DamageError, Message, count_topics
+from gridslam.io.bags.chunks import LATEST_NS, DamageError, Message, count_topics
 from gridslam.io.database import open_database
 from gridslam.io.limits import require_memory
 
 SQLITE_MAGIC = b"SQLite format 3\0"
 """First bytes of a file."""
 
-_LATEST_NS = (1 << 63) - 1
 _TABLES = "topics", "messages"
 _COUNTED = (  # of the data only the length: it is not read
     "SELECT topic_id, timestamp, CASE typeof(data) WHEN 'blob' THEN length(data) END FROM messages"
@@ -47,7 +46,7 @@ class SqliteFile:
         """Count the messages."""
         self.is_ros1 = False
         self.problem = ""
-        self.start_ns = _LATEST_NS
+        self.start_ns = LATEST_NS
         self.end_ns = 0
         self._path = path
         self._bytes = path.stat().st_size

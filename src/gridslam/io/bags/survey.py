@@ -11,8 +11,6 @@ from itertools import pairwise
 from pathlib import Path
 from typing import NamedTuple, TypeAlias, final
 
-import numpy as np
-
 from gridslam.errors import ArgumentError, InputError
 from gridslam.geometry import rigid
 from gridslam.geometry.angles import find_wrong_beam_angles
@@ -34,7 +32,6 @@ from gridslam.io.bags.source import BagSource
 from gridslam.io.selection import LogOptions
 
 _LOOK_NS = 10_000_000_000  # of the log, at least: transforms are published at 10 Hz and more often, static ones at once
-_SAMPLES = 200
 _MOVED_M = 0.005  # a mounting that has moved by less has not: rounding, a calibration's last digits
 _MOVED_RAD = 0.01
 _USUAL = "/scan"
@@ -42,7 +39,6 @@ _TRUTH = re.compile(r"truth|ground|(?:^|[/_])gt(?:$|[/_])", re.IGNORECASE)
 _ABOVE_BASE = re.compile(r"odom|^map$|^world$|^earth$", re.IGNORECASE)
 _ODOMETRY_FRAME = re.compile(r"odom", re.IGNORECASE)
 _BASES = ("base_link", "base_footprint", "base", "base_frame", "base_stabilized")
-_AGREES_M = 0.02  # odometry and transforms of one source are equal but for interpolation
 
 
 Decoded: TypeAlias = ScanMessage | OdometryMessage | list[StampedTransform]
@@ -69,7 +65,6 @@ class TopicInfo:
     frame: str
     child_frame: str
     first_stamp_ns: int
-    samples: list[tuple[int, Rigid]] = field(default_factory=list)
     stamped: bool = False
     messages: int = 0
     problems: Counter[str] = field(default_factory=Counter)
@@ -98,8 +93,6 @@ class LinkInfo:
         Whether it was published as static.
     moves : bool
         Whether a later one is another by more than 5 mm or 0.01 rad.
-    samples : list of (int, Rigid)
-        Stamps and poses of the first ones that are not static.
     """
 
     topic: str
@@ -107,7 +100,6 @@ class LinkInfo:
     stamp_ns: int
     static: bool
     moves: bool = False
-    samples: list[tuple[int, Rigid]] = field(default_factory=list)
 
 
 @final
@@ -155,8 +147,6 @@ class Survey:
             self._parents.setdefault(transform.child, transform.parent)
         elif pose != link.pose:
             link.moves = link.moves or differs(link.pose, pose)
-        if not static and len(link.samples) < _SAMPLES:
-            link.samples.append((transform.stamp_ns, pose))
 
     def pose(self, values: Rigid, what: str) -> Rigid | None:
         """Return the pose of a message, or None, counted, if it is invalid."""
@@ -244,10 +234,8 @@ def _note(found: Survey, name: str, message: Decoded) -> bool:
     topic.messages += 1
     if isinstance(message, ScanMessage) and (problem := find_scan_problem(message)):
         topic.problems[problem] += 1
-    if isinstance(message, OdometryMessage) and len(topic.samples) < _SAMPLES:
-        pose = found.pose(message.pose, name)
-        if pose is not None:
-            topic.samples.append((message.stamp_ns, pose))
+    if isinstance(message, OdometryMessage):
+        found.pose(message.pose, name)
     return new
 
 
@@ -437,30 +425,11 @@ def _odometry_topic(
         spaces = {_namespace(name) for name in scans}
         names = [name for name in names if _namespace(name) in spaces] or names
     if len(names) > 1:
-        names = [name for name in names if _agrees(seen, name)] or names
+        names = [name for name in names if _last(name) == "odom"] or names
     if len(names) > 1:
         problem = f"there are several odometries: choose with --odom TOPIC among {', '.join(names)}"
         raise InputError(source.path, problem)
     return names[0] if names else ""
-
-
-def _agrees(seen: Survey, name: str) -> bool:
-    """Return whether the transforms agree with the poses of this topic."""
-    topic = seen.odometry[name]
-    link = seen.links.get((topic.frame, topic.child_frame))
-    if link is None:
-        children = [ends for ends in seen.links if ends[0] == topic.frame]
-        link = seen.links[children[0]] if len(children) == 1 and not topic.child_frame else None
-    if link is None or not link.samples or not topic.samples:
-        return False
-    stamps = np.array([stamp_ns for stamp_ns, _ in sorted(link.samples)], dtype=np.float64)
-    places = np.array([pose[:2] for _, pose in sorted(link.samples)])
-    inside = [(stamp, pose) for stamp, pose in topic.samples if stamps[0] <= stamp <= stamps[-1]]
-    if not inside:
-        return False
-    at = [float(stamp) for stamp, _ in inside]
-    reported = np.column_stack([np.interp(at, stamps, places[:, axis]) for axis in (0, 1)])
-    return bool(np.median(np.hypot(*(reported - [pose[:2] for _, pose in inside]).T)) < _AGREES_M)
 
 
 def _odometry_frame(seen: Survey, above: list[list[str]]) -> str:

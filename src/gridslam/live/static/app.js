@@ -1,7 +1,7 @@
 // Entry of the page: applies messages to the displayed state and redraws.
 
 import { Camera } from "./camera.js";
-import { Chart, COLUMNS, WeightBars } from "./chart.js";
+import { Chart, COLUMNS } from "./chart.js";
 import { Drawing } from "./drawing.js";
 import { Editor } from "./edit.js";
 import { Graph } from "./graph.js";
@@ -24,7 +24,6 @@ const charts = [
   new Chart($("#n_eff"), 1, { share: true }),
   new Chart($("#latency"), 2, { unit: " ms" }),
 ];
-const weightBars = new WeightBars($("#weights"), selectParticle);
 const measure = drawing.measure = new Measure();
 const editor = drawing.editor = new Editor(camera, () => redraw());
 const graph = new Graph(world, camera, () => redraw());
@@ -33,7 +32,7 @@ let colours = {}, redrawPending = false;
 function reset() {
   world.map.clear();
   Object.assign(world, {
-    runInfo: {}, status: {}, path: NONE, selected: NONE, plan: NONE, tree: NONE, parents: NO_NUMBERS, leaves: NO_NUMBERS,
+    runInfo: {}, status: {}, path: NONE, plan: NONE, tree: NONE, parents: NO_NUMBERS, leaves: NO_NUMBERS,
     particles: NONE, scan: NONE, closures: NONE, landmarks: NONE, truth: NONE, series: NONE, steps: 0, chosen: null,
   });
 }
@@ -53,7 +52,7 @@ function receive({ header, arrays }) {
   if (header.messages) panel.messages.show(header.messages);
   if (header.clear) world.map.clear();
   if (arrays.tiles) world.map.put(arrays.tiles_at, arrays.tiles);
-  for (const name of ["path", "selected"]) if (arrays[name]) world[name] = splice(world[name], 2 * header[name], arrays[name]);
+  if (arrays.path) world.path = splice(world.path, 2 * header.path, arrays.path);
   if (arrays.series) {
     world.series = splice(world.series, COLUMNS * header.series, arrays.series);
     world.steps = world.series.length / COLUMNS;
@@ -62,7 +61,7 @@ function receive({ header, arrays }) {
   if (arrays.tree) [world.tree, world.parents, world.leaves] = [arrays.tree, arrays.tree_parents, arrays.tree_leaves];
   panel.show(world);
   graph.show();
-  Object.assign(document.body.dataset, { tiles: world.map.tiles.size, at: world.status.at ?? "", keys: world.steps, selected: world.status.selected_particle ?? "" });
+  Object.assign(document.body.dataset, { tiles: world.map.tiles.size, at: world.status.at ?? "", keys: world.steps });
   redraw();
 }
 
@@ -82,7 +81,7 @@ function redraw() {
     redrawPending = false;
     moveCamera();
     drawing.draw(colours);
-    for (const chart of [...charts, weightBars]) chart.draw(world, colours);
+    for (const chart of charts) chart.draw(world, colours);
     drawScaleBar();
   });
 }
@@ -133,14 +132,6 @@ function arrow({ key, shiftKey }) {
   else panel.accelerate(v);
 }
 
-// Whether particles can be selected.
-const isSelectable = () => world.runInfo.layers?.includes("weights") && !(world.status.past && panel.mode !== "replay");
-
-function selectParticle(particle) {
-  if (!isSelectable()) return;
-  connection.send({ do: "select", particle: particle === world.status.selected_particle ? null : particle });
-}
-
 function setMode(mode) {
   camera.mode = mode;
   if (mode === "follow") camera.scale = Math.max(camera.scale, 30);
@@ -168,29 +159,6 @@ function applyColours() {
   redraw();
 }
 
-async function savePicture() {
-  const canvas = new OffscreenCanvas($("#map").width, $("#map").height), context = canvas.getContext("2d");
-  context.fillStyle = colours.unknown;
-  context.fillRect(0, 0, canvas.width, canvas.height);
-  drawing.draw(colours);
-  context.drawImage($("#map"), 0, 0);
-  save(URL.createObjectURL(await canvas.convertToBlob()), "-view.png");
-}
-
-// Saves a file of the server: of the particle that is shown.
-function saveFile(file, ending) {
-  const address = new URL(file, location.href);
-  address.search = location.search;
-  address.searchParams.set("channel", world.status.channel ?? 0);
-  save(address, ending);
-}
-
-function save(address, ending) {
-  const title = (world.runInfo.title ?? "map").replace(/(\.(clf|log|carmen|bag|mcap|db3|csv|gz|bz2))+$/i, "");
-  const name = title.replace(/[^\w.-]+/g, "_") || "map";
-  Object.assign(document.createElement("a"), { href: address, download: `${name}${ending}` }).click();
-}
-
 reset();
 applyColours();
 resize();
@@ -202,12 +170,9 @@ camera.clicked = (u, v) => {
     showPlace(camera.toWorld(u, v));
     return redraw();
   }
-  const particle = drawing.particleAt(u, v);
-  if (particle >= 0) selectParticle(particle);
-  else graph.pick(u, v);
+  graph.pick(u, v);
 };
 camera.hovered = (u, v) => {
-  $("#map").classList.toggle("over", !measure.active && isSelectable() && drawing.particleAt(u, v) >= 0);
   if (measure.active) {
     measure.pointer = camera.toWorld(u, v);
     redraw();
@@ -225,9 +190,6 @@ for (const chart of charts) {
 }
 $("#fit").onclick = () => setMode("fit");
 $("#follow").onclick = () => setMode(camera.mode === "follow" ? "free" : "follow");
-$("#save-picture").onclick = savePicture;
-$("#save-map").onclick = () => saveFile("map.zip", "-map.zip");
-$("#save-trajectory").onclick = () => saveFile("trajectory.tum", "-trajectory.tum");
 $("#measure").onclick = toggleMeasure;
 $("#help-button").onclick = () => $("#help").showModal();
 $("#turn").oninput = ({ target }) => turn((target.value * Math.PI) / 180);
@@ -254,6 +216,6 @@ new Keys([
   [["n"], "not turned", () => turn(0)],
   [["g"], "grid in metres", () => $("#layers input[name='grid']").click()],
   [["m"], "measure", () => toggleMeasure()],
-  [["Escape"], "the best particle again; end measuring", () => (measure.active ? toggleMeasure() : connection.send({ do: "select", particle: null }))],
+  [["Escape"], "end measuring", () => measure.active && toggleMeasure()],
   [["?"], "this list", () => $("#help").showModal()],
 ], $("#help"));

@@ -1,4 +1,4 @@
-// Small charts over time, and the strip of weights.
+// Small charts over time.
 
 function prepare(canvas) {
   const [width, height, ratio] = [canvas.clientWidth, canvas.clientHeight, devicePixelRatio];
@@ -127,33 +127,5 @@ export class Chart {
     context.arc(x, toY(this.value(series, low)), 2.5, 0, 7);
     context.fill();
     context.fillText(text, width - context.measureText(text).width, 8);
-  }
-}
-
-// A bar for each particle, as high as its weight.
-export class WeightBars {
-  constructor(canvas, selected) {
-    this.canvas = canvas;
-    canvas.addEventListener("click", ({ offsetX }) => {
-      const particle = Math.floor((offsetX / canvas.clientWidth) * this.count);
-      if (particle >= 0 && particle < this.count) selected(particle);
-    });
-  }
-
-  draw(world, colours) {
-    const { particles, status } = world;
-    this.count = particles.length / 4;
-    this.canvas.hidden = !this.count;
-    const [context, width, height] = prepare(this.canvas);
-    let most = 0;
-    for (let k = 0; k < this.count; k++) most = Math.max(most, particles[4 * k + 3]);
-    const step = width / this.count;
-    for (let k = 0; k < this.count; k++) {
-      const tall = Math.max((particles[4 * k + 3] / most) * (height - 2), 1);
-      context.fillStyle = k === status.selected_particle ? colours.selected : k === status.best ? colours.path : colours.particle;
-      context.globalAlpha = k === status.selected_particle || k === status.best ? 1 : 0.6;
-      context.fillRect(k * step, height - tall, Math.max(step - 1.5, 0.5), tall);
-    }
-    context.globalAlpha = 1;
   }
 }

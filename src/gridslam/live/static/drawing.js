@@ -24,11 +24,6 @@ function place(world, at) {
   return world.path.subarray(2 * shared - 2, 2 * shared);
 }
 
-// The full path of a particle, up to where it is now.
-function pathPoints(path, world, particle) {
-  return [...path, ...world.particles.subarray(4 * particle, 4 * particle + 2)];
-}
-
 export class Drawing {
   constructor(canvas, world, camera) {
     Object.assign(this, { canvas, world, camera });
@@ -124,17 +119,14 @@ export class Drawing {
       context.globalAlpha = 1;
     }
     Object.assign(context, { strokeStyle: colours.path, lineWidth: Math.min(Math.max(camera.scale / 8, 1.2), 2.2) });
-    const selected = world.status.selected_particle ?? -1, best = world.plan.length || world.status.past ? -1 : world.status.best ?? -1;
-    line(context, best < 0 ? world.path : pathPoints(world.path, world, best), camera);
-    if (selected >= 0) {
-      Object.assign(context, { strokeStyle: colours.selected, lineWidth: 2.6 });
-      line(context, pathPoints(world.selected, world, selected), camera);
-    }
+    const best = world.plan.length || world.status.past ? undefined : world.status.best;
+    const now = best === undefined ? [] : world.particles.subarray(4 * best, 4 * best + 2); // since the last key scan
+    line(context, [...world.path, ...now], camera);
   }
 
-  // Draws the current scan at the pose of the robot, or of the selected particle.
+  // Draws the current scan at the pose of the robot.
   scan(context, colour) {
-    const { world } = this, pose = this.scanPose();
+    const { world } = this, pose = world.status.scan_pose ?? world.status.pose;
     if (pose && world.scan.length) this.points(context, world.scan, pose, colour);
   }
 
@@ -150,11 +142,6 @@ export class Drawing {
     }
   }
 
-  scanPose() {
-    const { world } = this, selected = world.status.selected_particle ?? -1;
-    return selected >= 0 ? world.particles.subarray(4 * selected, 4 * selected + 3) : world.status.scan_pose ?? world.status.pose;
-  }
-
   particles(context, colours) {
     const { world, camera } = this, count = world.particles.length / 4;
     let most = 0;
@@ -162,12 +149,12 @@ export class Drawing {
     const headed = camera.scale > 60, dot = Math.min(Math.max(camera.scale / 30, 1.4), 3.2);
     for (let k = 0; k < count; k++) {
       const [x, y, theta, weight] = world.particles.subarray(4 * k, 4 * k + 4);
-      const selected = k === world.status.selected_particle, [u, v] = camera.toScreen(x, y);
-      context.globalAlpha = selected ? 1 : 0.25 + 0.65 * Math.sqrt(weight / most);
-      context.fillStyle = context.strokeStyle = selected ? colours.selected : colours.particle;
+      const [u, v] = camera.toScreen(x, y);
+      context.globalAlpha = 0.25 + 0.65 * Math.sqrt(weight / most);
+      context.fillStyle = context.strokeStyle = colours.particle;
       context.lineWidth = 1.5;
       context.beginPath();
-      context.arc(u, v, selected ? 1.6 * dot : dot, 0, 7);
+      context.arc(u, v, dot, 0, 7);
       context.fill();
       if (headed) {
         context.beginPath();
@@ -253,16 +240,5 @@ export class Drawing {
       }
     }
     return box && [box[0] - 1, box[1] - 1, box[2] + 1, box[3] + 1];
-  }
-
-  // The particle nearest to a point of the screen; -1 if none is near.
-  particleAt(u, v, reach = 14) {
-    let nearest = -1;
-    for (let k = 0; 4 * k < this.world.particles.length; k++) {
-      const [x, y] = this.camera.toScreen(...this.world.particles.subarray(4 * k, 4 * k + 2));
-      const apart = Math.hypot(x - u, y - v);
-      if (apart < reach) [nearest, reach] = [k, apart];
-    }
-    return nearest;
   }
 }

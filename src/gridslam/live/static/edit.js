@@ -8,7 +8,6 @@ const LAYERS = {
   keep_out: { key: "k", name: "keep-out", type: "Polygon", colour: "bad" },
   no_go: { key: "o", name: "no-go", type: "LineString", colour: "bad", width: 0.1 },
   speed: { key: "v", name: "speed", type: "Polygon", colour: "particle" },
-  lanes: { key: "l", name: "lane", type: "LineString", colour: "good", width: 0.6 },
   rooms: { key: "r", name: "room", type: "Point", colour: "path", named: true },
 };
 const HINTS = {
@@ -283,11 +282,10 @@ function isHit(places, type, u, v) {
 }
 
 function paint(context, camera, colours, feature, selected) {
-  const { layer, width_m: width, name, limit_percent: percent, limit_m_s: speed } = feature.properties, { type } = feature.geometry;
+  const { layer, width_m: width, name, limit_percent: percent } = feature.properties, { type } = feature.geometry;
   const places = placesOf(feature).map((place) => camera.toScreen(...place)), colour = colours[LAYERS[layer].colour];
   Object.assign(context, { strokeStyle: selected ? colours.selected : colour, fillStyle: colour, lineWidth: type === "LineString" && width ? Math.max(2, width * camera.scale) : 2 });
   context.setLineDash(layer === "no_go" ? [8, 6] : []);
-  context.globalAlpha = layer === "lanes" ? 0.5 : 1;
   context.beginPath();
   for (const place of places) context.lineTo(...place);
   if (type === "Polygon") {
@@ -299,7 +297,7 @@ function paint(context, camera, colours, feature, selected) {
   context.stroke();
   context.setLineDash([]);
   context.globalAlpha = 1;
-  const label = name ?? (percent ? `${percent} %` : speed ? `${speed} m/s` : "");
+  const label = name ?? (percent ? `${percent} %` : "");
   const [u, v] = places.reduce(([a, b], [x, y]) => [a + x / places.length, b + y / places.length], [0, 0]);
   if (label) {
     Object.assign(context, { font: "600 13px system-ui, sans-serif", textAlign: "center", textBaseline: "middle", fillStyle: colours.text, strokeStyle: colours.free, lineWidth: 3 });

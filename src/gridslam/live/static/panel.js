@@ -33,7 +33,6 @@ export class Panel {
     $("#pause").onclick = () => this.toggle();
     $("#step").onclick = (event) => this.step(event.shiftKey);
     $("#line").oninput = ({ target }) => this.seek(Number(target.value));
-    $("#best").onclick = () => ask({ do: "select", particle: null });
     $("#sheet").onclick = () => {
       const open = document.body.toggleAttribute("data-sheet");
       $("#sheet").setAttribute("aria-expanded", open);
@@ -172,18 +171,13 @@ export class Panel {
     put("deviation", `${length}, ${oneDecimal((turn * 180) / Math.PI)}°`);
   }
 
-  particles({ status, runInfo, series, steps }) {
+  particles({ status, series, steps }) {
     const now = status.at ?? steps - 1, [, , latency, , count] = series.subarray(COLUMNS * now, COLUMNS * (now + 1));
     put("n_eff", status.n_eff == null ? "" : `${oneDecimal(status.n_eff)} of ${count}`);
     put("latency", steps ? `${twoDigits(latency)} ms` : "");
     put("particles", status.particles || "");
-    const replay = runInfo.mode === "replay", what = replay ? "path" : "map";
-    $("#selected span").textContent = ["writing", "finished"].includes(status.stage) && !replay ? "final map"
-      : status.past && status.selected_particle == null ? "map as it was"
-      : status.selected_particle < 0 ? "no descendants left"
-      : status.selected_particle != null ? `${what} of particle ${status.selected_particle}`
-      : replay ? "final map" : status.best === undefined ? "" : `map of the best particle, ${status.best}`;
-    $("#best").hidden = status.selected_particle == null;
+    $("#shown").textContent = ["writing", "finished"].includes(status.stage) ? "final map" : status.past ? "map as it was"
+      : status.best === undefined ? "" : `map of the best particle, ${status.best}`;
   }
 
   // The time line: of a finished run its time, of a running one its key scans so far.

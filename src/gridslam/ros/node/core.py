@@ -164,10 +164,6 @@ class NodeCore:
         self._publisher.facts.scans_on = scans
         self._publisher.log_state()
 
-    def note_outage(self, outage: str) -> None:
-        """Note the loss of a part of ROS, such as its master; an empty text if nothing is lost."""
-        self._publisher.facts.outage = outage
-
     def start(self) -> None:
         """Start the node's threads and accept messages."""
         if isinstance(self.configuration, Localization):

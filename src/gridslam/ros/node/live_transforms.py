@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable
-from typing import Any, TypeAlias, final
+from typing import TypeAlias, final
 
 from gridslam.errors import ArgumentError
 from gridslam.io.bags.ros_messages import StampedTransform
@@ -30,10 +30,6 @@ class JumpDetector:
     def __init__(self, jump_s: float) -> None:
         self._jump_ns = round(jump_s * 1e9)
         self._strays: dict[object, int] = {}
-
-    def keep(self, is_kept: Callable[[Any], bool]) -> None:
-        """Forget the sources that are not kept."""
-        self._strays = {source: stamp_ns for source, stamp_ns in self._strays.items() if is_kept(source)}
 
     def detect(self, source: object, stamp_ns: int, latest_ns: int) -> bool | None:
         """Whether this is the second stamp of a jump; None if it is the first one, which may be wrong."""
@@ -81,11 +77,17 @@ class LiveTransforms:
                     self._restart()
                 self._add(transform, static)
                 self._check_publishers(transform, static, publisher)
-                if self.buffer.expired:
-                    self._expire()
+                self._forget(transform)
             except (ArgumentError, OverflowError) as error:
-                self._static.pop((transform.parent, transform.child), None)
+                self._forget(transform)
                 self._warn("transform refused", f"{transform.parent} <- {transform.child}: {error}")
+
+    def _forget(self, transform: StampedTransform) -> None:
+        """Forget a link that the buffer does not hold."""
+        link = transform.parent, transform.child
+        if link not in self.buffer:
+            self._static.pop(link, None)
+            self._latest_ns.pop(link, None)
 
     def newest_ns(self, parent: str) -> int | None:
         """Return the stamp of the latest dynamic reading with this parent; None if there is none."""
@@ -94,22 +96,6 @@ class LiveTransforms:
     def _add(self, transform: StampedTransform, static: bool) -> None:
         stamp_ns, parent, child, pose = transform
         self.buffer.add_quaternion(parent, child, stamp_ns, pose[:3], pose[3:], static)
-
-    def _expire(self) -> None:
-        """Forget all of the links that the buffer has dropped."""
-        buffer = self.buffer
-        dropped = buffer.expired
-        buffer.expired = 0
-        self._warn("too many frames", f"{dropped} transforms that nothing uses are forgotten")
-        self._static = {link: transform for link, transform in self._static.items() if link in buffer}
-        self._latest_ns = {link: stamp_ns for link, stamp_ns in self._latest_ns.items() if link in buffer}
-        self._jumps.keep(buffer.__contains__)
-        kept: dict[str, dict[tuple[str, str], tuple[int, int] | None]] = {}
-        for child, sources in self._sources.items():
-            known = [(source, at_ns) for source, at_ns in sources.items() if (source[0], child) in buffer]
-            if known:
-                kept[child] = dict(known[-_MAX_SOURCES:])
-        self._sources = kept
 
     def _check_publishers(self, transform: StampedTransform, static: bool, publisher: str) -> None:
         """Warn if a frame has two parents, or if two publishers publish its transform: not one after the other."""

@@ -17,7 +17,7 @@ class NodeState(NamedTuple):
     Attributes
     ----------
     name : str
-        One of "waiting", "running", "paused", "looking", "lost", "no scans", "no transforms", "no master", "failed" and
+        One of "waiting", "running", "paused", "looking", "lost", "no scans", "no transforms", "failed" and
         "finished".
     level : Level
         OK where nothing has to be done.
@@ -47,8 +47,6 @@ class NodeFacts:
         When the last scan came, and when the last one that was given to the filter came; None if there was none.
     missing_transform : str
         The transform without which the last scan was refused; empty if that was not the reason.
-    outage : str
-        What the transport has lost, such as ROS's master; empty if nothing.
     is_paused, localizes, lost, looking, is_closed : bool
         Of the node: whether scans are left out on request, it needs a map, the map is known, the robot is lost, or its
         pose has not been found yet, and whether the node has ended.
@@ -62,7 +60,6 @@ class NodeFacts:
     received_s: float | None = None
     accepted_s: float | None = None
     missing_transform: str = ""
-    outage: str = ""
     is_paused: bool = False
     localizes: bool = False
     lost: bool = False
@@ -77,8 +74,6 @@ def find_state(facts: NodeFacts) -> NodeState:
         return NodeState("failed", Level.ERROR, f"the filter failed: {facts.failure}")
     if facts.is_closed:
         return NodeState("finished", Level.OK, "finished")
-    if facts.outage:
-        return NodeState("no master", Level.WARN, facts.outage)
     if facts.is_paused:
         return NodeState("paused", Level.OK, "paused")
     return _find_input_state(facts) or _find_filter_state(facts)

@@ -4,14 +4,12 @@ from __future__ import annotations
 
 import os
 import threading
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from contextlib import suppress
 from functools import partial
 from itertools import count
 from pathlib import Path
-from typing import Any, Final, final
-
-import numpy as np
+from typing import Any, final
 
 from gridslam.api.mapping import MapResult
 from gridslam.errors import ArgumentError, ConfigurationError, GridslamError
@@ -22,7 +20,7 @@ from gridslam.ros.node.core import NodeCore
 from gridslam.ros.node.grid_input import covariance_of, pose_of
 from gridslam.ros.node.live_autosave import keep_other
 from gridslam.ros.node.mapping_session import SessionCopy
-from gridslam.ros.node.messages import GridMessage, Level
+from gridslam.ros.node.messages import Level
 from gridslam.ros.node.outputs import grid_values
 from gridslam.ros.node.parameters import NodeParameters
 from gridslam.ros.node.session_services import SessionServices
@@ -32,7 +30,6 @@ _POSE = TOPICS["~/pose"]
 _PAUSED = "paused_new_measurements"
 _SAVE_AS = "save_as"
 _SCANS_DEPTH, _TRANSFORMS_DEPTH = 500, 2500  # what a pause of some seconds may hold up
-_EMPTY_MAP: Final = GridMessage(0, "", 0.0, (0.0, 0.0), np.zeros((0, 0), np.int8))
 
 
 @final
@@ -167,8 +164,7 @@ class RosNode:
         with options.open_viewers(core):
             try:
                 self.start()
-                for outage in self._transport.spin(core.ended):
-                    core.note_outage(outage)
+                for _ in self._transport.spin(core.ended):
                     options.on_poll()
             except KeyboardInterrupt:  # the usual end of a node
                 pass
@@ -214,12 +210,13 @@ class RosNode:
                 offered.add(self._transport.resolve(name))
         return offered
 
-    def _give_map(self, request: Any) -> Sequence[Any]:  # noqa: ANN401
-        """Give the map that was published last; raises GridslamError without one, if the transport can report that."""
+    def _give_map(self, request: Any) -> bytes:  # noqa: ANN401
+        """Give the response with the map that was published last; raises GridslamError without one."""
         latest = self.core.dynamic_map()
-        if latest is None and not self._transport.gives_empty_map:
+        if latest is None:
             raise GridslamError("there is no map yet")
-        return (grid_values(self._transport.encoder, "dynamic_map", latest or _EMPTY_MAP),)
+        encoder = self._transport.encoder
+        return encoder.encode(TOPICS["map"], *grid_values(encoder, "dynamic_map", latest))
 
     def _change_parameter(self, name: str, value: Any) -> str:  # noqa: ANN401
         """Set a parameter while the node runs."""

@@ -43,8 +43,8 @@ POLL_S: Final = 0.2
 Handler: TypeAlias = Callable[[bytes, str], None]
 """Called with the bytes of a message, and the name of its publisher if known."""
 
-Serve: TypeAlias = Callable[[Any], Sequence[Any] | None]
-"""Called with a request; returns the values of the response's fields in their order, nothing if it has none."""
+Serve: TypeAlias = Callable[[Any], Sequence[Any] | bytes | None]
+"""Called with a request; returns the values of the response's fields in their order, or the bytes of all of them."""
 
 ViewerOpener: TypeAlias = Callable[[NodeCore], AbstractContextManager[object]]
 """Opens the viewers of a core: a context entered before the core starts and left after it has stopped."""
@@ -97,14 +97,11 @@ class Transport(Protocol):
         Of its messages, requests and responses.
     global_localization : str
         Name of the service that makes the pose unknown.
-    gives_empty_map : bool
-        Whether a request for a map that is not there yet is answered, by an empty one.
     """
 
     outputs: Outputs
     encoder: MessageEncoder
     global_localization: str
-    gives_empty_map: bool
 
     def connect(self, refuse: Callable[[str, str], None], topics: Mapping[str, str]) -> None:
         """Announce the published topics with their types, and set `outputs.topics`.
@@ -136,11 +133,8 @@ class Transport(Protocol):
     ) -> None:
         """Offer the parameters where ROS does not: `change` sets one of those that are settable, or returns why not."""
 
-    def spin(self, ended: threading.Event) -> Iterator[str]:
-        """Deliver messages until the transport is shut down or the event is set.
-
-        Yields several times a second what it has lost, such as ROS's master; an empty text if nothing.
-        """
+    def spin(self, ended: threading.Event) -> Iterator[None]:
+        """Deliver messages until the transport is shut down or the event is set; yields several times a second."""
         ...
 
     def close(self) -> None:

@@ -12,20 +12,18 @@ import threading
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from functools import partial
-from typing import IO, Any, final
+from typing import Any, final
 
 from gridslam.errors import ConfigurationError, GridslamError
+from gridslam.io.bags.encoder import MessageEncoder
 from gridslam.io.bags.ros_messages import Wire, kind_of, wire_of_ros1
 from gridslam.ros.node.messages import Level, Outputs
 from gridslam.ros.node.outputs import EncodedOutputs
 from gridslam.ros.node.parameters import GMAPPING_DEFAULTS, NODE_DEFAULTS, node_parameters
 from gridslam.ros.node.ros_node import RosNode
-from gridslam.ros.node.service_types import BODY, service_encoder
 from gridslam.ros.node.transport import LATCHED, NO_OPTIONS, POLL_S, Handler, RunOptions, Serve, import_ros
 
 NODE_NAME = "slam_gmapping"
-
-_MASTER_PERIOD_S = 2.0
 
 _import = partial(import_ros, "ROS 1", "source its setup.bash, or install python3-rospy and the messages' packages")
 
@@ -40,11 +38,10 @@ class Ros1Transport:
     """Publishers, subscribers and services of the node, after `rospy.init_node`."""
 
     global_localization = "global_localization"
-    gives_empty_map = False
 
     def __init__(self) -> None:
         self._rospy = _import("rospy")
-        self.encoder = service_encoder(is_ros1=True)
+        self.encoder = MessageEncoder(is_ros1=True)
         self._publishers: dict[str, Any] = {}
         self._settable: dict[str, Any] = {}
         name = self._rospy.get_name().lstrip("/")
@@ -85,25 +82,15 @@ class Ros1Transport:
     def advertise(self, service: str, kind: str, serve: Serve, *, slow: bool = False) -> None:
         """Offer a service; rospy answers each request in a thread of its own."""
         service_class = _import(kind, "srv")
-        base: Any = service_class._response_class
-
-        class Answer(base):  # type: ignore[misc]
-            """Response that is encoded already: a list of a million cells would cost 50 ms."""
-
-            encoded = b""
-
-            def serialize(self, buff: IO[bytes]) -> None:
-                buff.write(self.encoded)
+        make: Any = service_class._response_class
 
         def answer(request: Any) -> Any:  # noqa: ANN401
             self._read_parameters()
-            response = Answer()
             try:
-                if values := serve(request):
-                    response.encoded = self.encoder.encode(f"{kind}_Response{BODY}", *values)
+                answered = serve(request)
             except GridslamError as error:
                 raise self._rospy.ServiceException(str(error)) from None
-            return response
+            return make().deserialize(answered) if isinstance(answered, bytes) else make(*answered or ())
 
         self._rospy.Service(_name(service), service_class, answer)
 
@@ -124,15 +111,10 @@ class Ros1Transport:
                 if problem:
                     self._log(Level.WARN, problem)
 
-    def spin(self, ended: threading.Event) -> Iterator[str]:
+    def spin(self, ended: threading.Event) -> Iterator[None]:
         """Wait until ROS is shut down or the event is set; rospy delivers messages in threads of its own."""
-        master = _MasterWatch(self._rospy, self._log)
-        due_s = time.monotonic() + _MASTER_PERIOD_S
         while not self._rospy.is_shutdown() and not ended.wait(POLL_S):
-            if time.monotonic() >= due_s:
-                master.look()
-                due_s = time.monotonic() + _MASTER_PERIOD_S
-            yield master.outage
+            yield
 
     def close(self) -> None:
         """Shut down."""
@@ -155,49 +137,6 @@ class Ros1Transport:
                 self._publishers[topic].publish(message)
         except self._rospy.ROSException:  # shut down in the meantime
             return
-
-
-@final
-class _MasterWatch:
-    """Registers the node again where the master was restarted: a new one knows none of its topics and services.
-
-    Attributes
-    ----------
-    outage : str
-        That the master does not answer; empty while it does.
-    """
-
-    def __init__(self, rospy: Any, log: Callable[[Level, str], None]) -> None:  # noqa: ANN401
-        self._registration = _import("rospy.impl.registration")
-        self._master = _import("rosgraph").Master(rospy.get_name())
-        self._log = log
-        self._pid = self._find_pid()
-        self.outage = ""
-
-    def look(self) -> None:
-        """Compare the master with the one before."""
-        pid = self._find_pid()
-        self.outage = "" if pid is not None else f"no ROS master at {self._master.master_uri}: is roscore running?"
-        if pid is None or pid == self._pid:
-            return
-        self._pid = pid
-        self._log(Level.WARN, "the master was restarted: registering again")
-        found = self._registration
-        topics = found.get_topic_manager()
-        for kind, names in (
-            (found.Registration.PUB, topics.get_publications()),
-            (found.Registration.SUB, topics.get_subscriptions()),
-            (found.Registration.SRV, found.get_service_manager().get_services()),
-        ):
-            for name, what in names:
-                found.get_registration_listeners().notify_added(name, what, kind)
-
-    def _find_pid(self) -> int | None:
-        """Process of the master; None if it does not answer."""
-        try:
-            return int(self._master.getPid())
-        except Exception:  # of sockets, of HTTP or of the master itself
-            return None
 
 
 def check_ros1_arguments(arguments: Sequence[str]) -> None:

@@ -1,1 +1,1 @@
-"""What both ways into ROS 2 share: its arguments and parameters."""
+"""The node in ROS 2 by rclpy."""

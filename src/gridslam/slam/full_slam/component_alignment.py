@@ -18,12 +18,11 @@ from gridslam.slam.full_slam.trajectory_score import SCALE_M, log_likelihood, we
 from gridslam.slam.loop_closure.constraints import Constraint, ConstraintSource, transform_match
 from gridslam.slam.loop_closure.key_graph import KEY_SCANS_PER_SUBMAP, KeyGraph, anchor_of, position_sigmas
 from gridslam.slam.loop_closure.map_search import MapSearch
-from gridslam.slam.loop_closure.place_matching import PlaceMatching
+from gridslam.slam.loop_closure.place_matching import PlaceMatching, compute_innovation, squared_sigmas
 from gridslam.slam.loop_closure.scan_archive import ScanArchive
 from gridslam.slam.loop_closure.state import LoopClosureState
 from gridslam.slam.loop_closure.submap_matching import MAX_POINTS, Submap
 from gridslam.slam.loop_closure.submap_pairs import SubmapPairs
-from gridslam.slam.loop_closure.submap_recognition import drift_distance
 from gridslam.slam.loop_closure.submaps import DIRECTIONS, ROW, build_map, match_points
 from gridslam.slam.loop_closure.walls import MOST_BESIDE_M, leave_open
 from gridslam.types import BeamEnds, FloatArray, IntArray, Match, StoredScan
@@ -174,22 +173,29 @@ def align_components(
 
 @final
 class WantedSearch(NamedTuple):
-    """A submap to be searched for in component `old`, where it is expected from that one's key scan `seen_from`."""
+    """A submap to be searched for in component `old`, where it is expected from that one's key scan `seen_from`.
+
+    `expected` is its pose (3,) seen from there, `covariance` (3, 3) that of the drift, map frame.
+    """
 
     submap: Submap
     old: int
     seen_from: int
     expected: FloatArray
-    reach_m: float
-    reach_rad: float
+    covariance: FloatArray
+
+    @property
+    def reach_m(self) -> float:
+        """How far from there it is searched for."""
+        return float(SEARCH_SIGMAS * position_sigmas(self.covariance[None])[0]) + MARGIN_M
 
     def run(self, graph: KeyGraph, search: MapSearch) -> list[SearchHit]:
         """Search the map of the component, within the drift."""
-        frame = graph.poses[self.seen_from]
-        hits = match_submap(search, self.submap, compose(frame, self.expected), self.reach_m, self.reach_rad)
+        guess = compose(graph.poses[self.seen_from], self.expected)
+        reach_rad = SEARCH_SIGMAS * math.sqrt(self.covariance[2, 2]) + MARGIN_RAD
         return [
-            hit._replace(squared_sigmas=drift_distance(graph, self.seen_from, hit.key, between(frame, hit.pose)))
-            for hit in hits
+            hit._replace(squared_sigmas=squared_sigmas(self.covariance, compute_innovation(guess, hit.pose)))
+            for hit in match_submap(search, self.submap, guess, self.reach_m, reach_rad)
         ]
 
 
@@ -206,13 +212,11 @@ def _select_searches(graph: KeyGraph, submaps: list[Submap], labels: IntArray, a
                 continue
             few = keys[:: -(-len(keys) // _MOST_EXPECTED)]
             expected, covariances = graph.locate(submap.anchor, few)
-            sigmas_m = position_sigmas(covariances)
-            best = int(sigmas_m.argmin())
-            reach_m = float(SEARCH_SIGMAS * sigmas_m[best]) + MARGIN_M
-            reach_rad = SEARCH_SIGMAS * math.sqrt(covariances[best, 2, 2]) + MARGIN_RAD
+            best = int(position_sigmas(covariances).argmin())
+            search = WantedSearch(submap, old, int(few[best]), expected[best], covariances[best])
             x, y, _ = compose(poses[few[best]], expected[best]).tolist()
-            if np.hypot(poses[keys, 0] - x, poses[keys, 1] - y).min() < reach_m + submap.radius_m:
-                wanted.append(WantedSearch(submap, old, int(few[best]), expected[best], reach_m, reach_rad))
+            if np.hypot(poses[keys, 0] - x, poses[keys, 1] - y).min() < search.reach_m + submap.radius_m:
+                wanted.append(search)
     return wanted[:: max(1, -(-len(wanted) // _MOST_SEARCHES))]
 
 

@@ -21,7 +21,6 @@ from gridslam.slam.full_slam.full_trajectory import (
 )
 from gridslam.slam.full_slam.global_scan_refinement import RefinementResult, refine_trajectory
 from gridslam.slam.full_slam.key_covariances import key_covariances
-from gridslam.slam.full_slam.laser_errors import LaserErrors
 from gridslam.slam.full_slam.trajectory_score import TrajectoryScore
 from gridslam.slam.grid_fastslam.state import GridFastSlamState
 from gridslam.slam.loop_closure.constraints import ConstraintSource, key_scan_pairs, select_shown_closures
@@ -66,8 +65,6 @@ class LoopClosureSummary:
         Name of the one that, adjusted, is the answer.
     sharpness_m : float or None, m
         rms distance of the key scans' points to the surfaces that other visits have seen; None without such.
-    laser_errors : LaserErrors or None
-        Systematic errors of the laser; None where the log does not determine them.
     """
 
     closures: IntArray
@@ -82,7 +79,6 @@ class LoopClosureSummary:
     candidates: dict[str, TrajectoryScore]
     selected: str
     sharpness_m: float | None
-    laser_errors: LaserErrors | None
 
     @property
     def count(self) -> int:
@@ -246,5 +242,4 @@ def _summarize(
         candidates=refined.scores,
         selected=best.name,
         sharpness_m=refined.sharpness_m,
-        laser_errors=refined.laser_errors,
     )

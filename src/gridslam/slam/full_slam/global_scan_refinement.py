@@ -17,7 +17,6 @@ from gridslam.matching.surfaces import Surfaces
 from gridslam.slam.full_slam.component_alignment import align_components
 from gridslam.slam.full_slam.full_trajectory import TrackedScans, full_trajectories
 from gridslam.slam.full_slam.key_motion import weigh_odometry
-from gridslam.slam.full_slam.laser_errors import LaserErrors, estimate_laser_errors
 from gridslam.slam.full_slam.revisits_within_drift import propose_revisits
 from gridslam.slam.full_slam.surface_adjustment import LINE_REACH_M, adjust_key_scans, match_scans
 from gridslam.slam.full_slam.trajectory_score import TrajectoryScore, score_trajectory
@@ -119,8 +118,6 @@ class RefinementResult:
         Number of pairs in `graph`, its last measurements.
     sharpness_m : float or None, m
         See `measure_sharpness`.
-    laser_errors : LaserErrors or None
-        See `estimate_laser_errors`.
     """
 
     best: Candidate
@@ -132,7 +129,6 @@ class RefinementResult:
     graph: PoseGraph
     pairs: int
     sharpness_m: float | None
-    laser_errors: LaserErrors | None
 
 
 _MAX_SEARCHES = 3
@@ -215,7 +211,6 @@ def refine_trajectory(
     is_shown &= np.diff(matched)[:, 0] > _SAME_VISIT
     is_shown &= (np.hypot(errors[:, 0], errors[:, 1]) < _AGREE_M) & (errors[:, 2] < _AGREE_RAD)
     shown = measured.select(np.append(np.ones(count, np.bool_), is_shown))
-    laser_errors = estimate_laser_errors(surfaces, key_poses, matched)
     graph.poses = list(key_poses)
     poses = full_trajectories(key_poses, drives)
     first = sum(len(drive.keys) for drive in drives if int(drive.keys[-1]) < graph.frozen)
@@ -226,7 +221,7 @@ def refine_trajectory(
     best = replace(best, graph=best.graph.with_poses(key_poses))
     scores = {name: adjusted.score for name, adjusted in refinement.adjusted.items()}
     pairs = int(is_shown.sum())
-    return RefinementResult(best, poses, information, maps, scores, measured, shown, pairs, sharpness_m, laser_errors)
+    return RefinementResult(best, poses, information, maps, scores, measured, shown, pairs, sharpness_m)
 
 
 def leave_to_search(graph: KeyGraph, searched: int) -> list[Constraint]:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable
 
 import numpy as np
@@ -11,7 +10,6 @@ from gridslam.mapping.occupancy_grid_mapping import OccupancyGridMapping
 from gridslam.slam.full_slam.component_alignment import (
     LENGTH_M,
     MARGIN_M,
-    MARGIN_RAD,
     SEARCH_SIGMAS,
     STEP_M,
     Alignment,
@@ -104,7 +102,6 @@ def _select_searches(
         if not is_near.any():
             continue
         best = int(np.where(is_near, sigmas_m, np.inf).argmin())
-        reach_rad = SEARCH_SIGMAS * math.sqrt(covariances[best, 2, 2]) + MARGIN_RAD
-        search = WantedSearch(submap, 0, int(older[best]), expected[best], float(reach_m[best]), reach_rad)
+        search = WantedSearch(submap, 0, int(older[best]), expected[best], covariances[best])
         wanted.append((search, older[is_near]))
     return wanted

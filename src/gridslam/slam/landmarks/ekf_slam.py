@@ -18,14 +18,7 @@ from gridslam.errors import ConsumedStateError
 from gridslam.geometry.angles import wrap
 from gridslam.geometry.se2 import lever_arm_jacobian
 from gridslam.models.association import NEW, Association, KnownCorrespondence, LandmarkExistence
-from gridslam.models.landmark import (
-    LandmarkModel,
-    LandmarkObservations,
-    RangeBearing,
-    linearize_calibrated,
-    locate_calibrated,
-)
-from gridslam.models.systematic_errors import NO_ERRORS, SystematicErrors
+from gridslam.models.landmark import LandmarkModel, LandmarkObservations, RangeBearing
 from gridslam.particles.initial import repeat_pose
 from gridslam.slam.landmarks.report import LandmarkMap, LandmarkReport
 from gridslam.slam.landmarks.small_gaussians import mahalanobis
@@ -46,8 +39,6 @@ class EkfSlam:
     existence : LandmarkExistence
         Which landmarks are real, where correspondences are unknown. A provisional one learns from the robot's pose,
         but the pose learns nothing from it.
-    bias : SystematicErrors
-        Systematic errors of odometry and sensor, which are part of what is estimated.
 
     References
     ----------
@@ -64,11 +55,10 @@ class EkfSlam:
     sensor: LandmarkModel = field(default_factory=RangeBearing)
     association: Association = field(default_factory=KnownCorrespondence)
     existence: LandmarkExistence = field(default_factory=LandmarkExistence)
-    bias: SystematicErrors = NO_ERRORS
 
     def init(self, pose: ArrayLike = (0.0, 0.0, 0.0)) -> EkfSlamState:
         """Begin at a pose (3,) that is exact, without landmarks."""
-        return EkfSlamState.at(pose, self.bias.covariance(), 4 if self.sensor.correlated_share else 2)
+        return EkfSlamState.at(pose)
 
     def step(
         self, state: EkfSlamState, motion: MotionSampler, observations: LandmarkObservations
@@ -89,20 +79,19 @@ class EkfSlam:
             The association needs correspondences that the observations do not contain.
         """
         state = state.take()
-        self.predict(state, motion, observations.passed_s)
+        self.predict(state, motion)
         return state, self.update(state, observations, self._correspondences(state, observations))
 
     def update(self, state: EkfSlamState, observations: LandmarkObservations, places: IntArray) -> LandmarkReport:
         """Correct a predicted state, in place, by observations of landmarks `places` (K,); returns the report."""
         places = places.copy()
         noise = self.sensor.noise(observations)
-        independent = self.independent_noise(observations)
         known = np.flatnonzero(places >= 0)
         confirmed = state.evidence[places[known]] >= self.existence.log_odds_confirmed
         used = known[confirmed]
-        self._correct(state, places[used], observations.values[used], independent[used])
+        self._correct(state, places[used], observations.values[used], noise[used])
         for k in known[~confirmed].tolist():
-            self._correct_provisional(state, int(places[k]), observations.values[k], independent[k])
+            self._correct_provisional(state, int(places[k]), observations.values[k], noise[k])
         for k in np.flatnonzero(places == NEW).tolist():
             places[k] = self._add(state, observations, k, noise[k])
         reported = places.copy()
@@ -116,22 +105,16 @@ class EkfSlam:
         covariances = state.position_covariances[kept]
         return LandmarkMap(state.names[kept], state.positions[kept], covariances, state.observations[kept])
 
-    def predict(self, state: EkfSlamState, motion: MotionSampler, passed_s: float = 0.0) -> None:
-        """Tables 10.1 and 10.2, lines 2 to 5, in place: the pose moves, and correlated errors decay."""
-        own = slice(state.first)
+    def predict(self, state: EkfSlamState, motion: MotionSampler) -> None:
+        """Tables 10.1 and 10.2, lines 2 to 5, in place: the pose moves."""
         P = state.covariance
-        (moved,), (F,), (Q,) = self.bias.predict(motion, state.mean[None, own])
-        F[:3, :3] = lever_arm_jacobian(state.predicted, moved[:3])
-        state.mean[own] = moved
-        state.predicted = moved[:3].copy()
-        P[own] = F @ P[own]
-        P[:, own] = P[:, own] @ F.T
-        P[own, own] += Q
-        if state.width > 2 and passed_s > 0:
-            away = np.hypot(*(state.positions - state.pose[:2]).T)
-            ahead = LandmarkObservations(np.column_stack([away, np.zeros_like(away)]))
-            variances = self.sensor.correlated_share * np.diagonal(self.sensor.noise(ahead), axis1=1, axis2=2)
-            state.fade(math.exp(-passed_s / self.sensor.correlation_s), variances)
+        (moved,), (R,) = motion.moments(state.mean[None, :3])
+        G = lever_arm_jacobian(state.predicted, moved)
+        state.mean[:3] = moved
+        state.predicted = moved
+        P[:3] = G @ P[:3]
+        P[:, :3] = P[:, :3] @ G.T
+        P[:3, :3] += R
 
     def _correspondences(self, state: EkfSlamState, observations: LandmarkObservations) -> IntArray:
         """Table 10.2, lines 9 to 16: the index of each observation's landmark in the state."""
@@ -144,19 +127,13 @@ class EkfSlam:
         """Innovations (K, M, 2) of K observations, if they are of each of M landmarks, and covariances of them."""
         predicted, H_x, H_m = self._linearize(state, np.arange(len(state.names)))
         H = np.concatenate([H_x, H_m], axis=-1)
-        own = state.first
-        size = own + state.width
-        P = np.empty((len(state.names), size, size))  # of the pose and each landmark
-        P[:, :own, :own] = state.covariance[:own, :own]
-        P[:, own:, own:] = state.landmark_covariances
-        P[:, :own, own:] = state.covariance[:own, own:].reshape(own, -1, state.width).swapaxes(0, 1)
-        P[:, own:, :own] = P[:, :own, own:].swapaxes(1, 2)
+        P = np.empty((len(state.names), 5, 5))  # of the pose and each landmark
+        P[:, :3, :3] = state.pose_covariance
+        P[:, 3:, 3:] = state.position_covariances
+        P[:, :3, 3:] = state.covariance[:3, 3:].reshape(3, -1, 2).swapaxes(0, 1)
+        P[:, 3:, :3] = P[:, :3, 3:].swapaxes(1, 2)
         residuals = self.sensor.residual(observations.values[:, None], predicted)
-        return residuals, H @ P @ H.swapaxes(1, 2) + self.independent_noise(observations)[:, None]
-
-    def independent_noise(self, observations: LandmarkObservations) -> FloatArray:
-        """Noise (K, 2, 2) of the observations without the errors that are correlated in time."""
-        return (1 - self.sensor.correlated_share) * self.sensor.noise(observations)
+        return residuals, H @ P @ H.swapaxes(1, 2) + self.sensor.noise(observations)[:, None]
 
     def _correct(self, state: EkfSlamState, places: IntArray, measured: FloatArray, noise: FloatArray) -> None:
         """Table 10.1, lines 12 to 20, for K observations: P - K S K' = P - W' W with W = L^-1 H P, S = L L'."""
@@ -172,8 +149,7 @@ class EkfSlam:
     def _correct_provisional(self, state: EkfSlamState, place: int, measured: FloatArray, noise: FloatArray) -> None:
         """Correct one landmark alone: the gain of all else is 0 (Schmidt's consider filter)."""
         residual, HP, S = self.innovation(state, np.array([place]), measured[None], noise[None])
-        begin = state.first + state.width * place
-        own = slice(begin, begin + state.width)
+        own = slice(3 + 2 * place, 5 + 2 * place)
         gain = np.linalg.solve(S, HP[:, own]).T
         state.mean[own] += gain @ residual
         state.covariance[own] -= gain @ HP
@@ -185,46 +161,34 @@ class EkfSlam:
         """Residuals (2 K,), H P (2 K, n) and S = H P H' + Q (2 K, 2 K), of the few columns where H is not 0."""
         predicted, H_x, H_m = self._linearize(state, places)
         count = len(places)
-        own = state.first
         P = state.covariance
-        columns = own + state.width * places[:, None] + np.arange(state.width)
-        HP = H_x @ P[:own] + H_m @ P[columns]
-        S = np.einsum("iac,jbc->iajb", HP[:, :, :own], H_x) + np.einsum("iajc,jbc->iajb", HP[:, :, columns], H_m)
+        columns = 3 + 2 * places[:, None] + np.arange(2)
+        HP = H_x @ P[:3] + H_m @ P[columns]
+        S = np.einsum("iac,jbc->iajb", HP[:, :, :3], H_x) + np.einsum("iajc,jbc->iajb", HP[:, :, columns], H_m)
         S[np.arange(count), :, np.arange(count)] += noise
         residuals = self.sensor.residual(measured, predicted)
         return residuals.ravel(), HP.reshape(2 * count, len(P)), S.reshape(2 * count, 2 * count)
 
     def _linearize(self, state: EkfSlamState, places: IntArray) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """h (K, 2) of landmarks `places` (K,), and its Jacobians by pose and errors (K, 2, 3 + B) and by (K, 2, W).
+        """h (K, 2) of landmarks `places` (K,), and its Jacobians by pose (K, 2, 3) and by landmark (K, 2, 2).
 
         Jacobians are those of the first estimates: see `EkfSlam`.
         """
-        c = self.bias.calibration(state.mean[3 : state.first])
-        predicted, _, _, _ = linearize_calibrated(self.sensor, state.pose, state.positions[places], c)
-        _, H_x, H_m, H_c = linearize_calibrated(self.sensor, state.predicted, state.first_positions[places], c)
-        H_x = np.concatenate([H_x, self.bias.by_calibration(H_c)], axis=-1)
-        if state.width == 2:
-            return predicted, H_x, H_m
-        by_own_error = np.broadcast_to(np.eye(2), H_m.shape)
-        return predicted + state.own_errors[places], H_x, np.concatenate([H_m, by_own_error], axis=-1)
+        predicted, _, _ = self.sensor.linearize(state.pose, state.positions[places])
+        _, H_x, H_m = self.sensor.linearize(state.predicted, state.first_positions[places])
+        return predicted, H_x, H_m
 
     def _add(self, state: EkfSlamState, observations: LandmarkObservations, k: int, noise: FloatArray) -> int:
         """Tables 10.1, lines 9 to 11, and 10.2, line 8: put a landmark where it is seen.
 
-        z = h(x, m) + e makes dm = H_m^-1 (dz - H_x dx - e), and of e a share is the landmark's own error for a while.
+        z = h(x, m) + e makes dm = H_m^-1 (dz - H_x dx - e).
         """
-        c = self.bias.calibration(state.mean[3 : state.first])
-        position = locate_calibrated(self.sensor, state.pose, observations.values[k], c)
-        _, H_x, H_m, H_c = linearize_calibrated(self.sensor, state.predicted, position, c)
-        H_x = np.concatenate([H_x, self.bias.by_calibration(H_c)], axis=-1)
+        position = self.sensor.locate(state.pose, observations.values[k])
+        _, H_x, H_m = self.sensor.linearize(state.predicted, position)
         by_measured = np.linalg.inv(H_m)
         by_pose = -by_measured @ H_x
-        with_others = by_pose @ state.covariance[: state.first]
-        own = with_others[:, : state.first] @ by_pose.T + by_measured @ noise @ by_measured.T
-        if state.width > 2:
-            kept = self.sensor.correlated_share * noise
-            own = np.block([[own, -by_measured @ kept], [-kept @ by_measured.T, kept]])
-            with_others = np.vstack([with_others, np.zeros_like(with_others)])
+        with_others = by_pose @ state.covariance[:3]
+        own = with_others[:, :3] @ by_pose.T + by_measured @ noise @ by_measured.T
         if self.association.uses_signatures and observations.landmarks is not None:
             name = int(observations.landmarks[k])
         else:
@@ -253,9 +217,8 @@ class EkfSlamState:
 
     Attributes
     ----------
-    mean, covariance : (3 + B + W M,), (3 + B + W M, 3 + B + W M) float64
-        Of [x, y, theta, b_1, ..., m_1x, m_1y, m_2x, ...], in m and rad, map frame. Where errors are correlated in time
-        W is 4, and after each position come the two errors that its observations have at the time.
+    mean, covariance : (3 + 2 M,), (3 + 2 M, 3 + 2 M) float64
+        Of [x, y, theta, m_1x, m_1y, m_2x, ...], in m and rad, map frame.
     predicted : (3,) float64
         The last pose before its correction.
     first_positions : (M, 2) float64, m
@@ -268,10 +231,6 @@ class EkfSlamState:
         How often each was seen.
     next_name : int
         Number of the next landmark without a signature.
-    biases : int
-        The number B of the systematic errors that are learned.
-    width : int
-        The number W of rows of a landmark, 2 or 4.
     """
 
     mean: FloatArray
@@ -282,29 +241,14 @@ class EkfSlamState:
     evidence: FloatArray
     observations: IntArray
     next_name: int = 0
-    biases: int = 0
-    width: int = 2
     consumed: bool = False
 
     @classmethod
-    def at(cls, pose: ArrayLike, bias: FloatArray, width: int = 2) -> EkfSlamState:
-        """Begin at a pose (3,) that is exact, with errors of the odometry of covariance (B, B).
-
-        Raises ArgumentError where the pose is none.
-        """
-        mean = np.concatenate([repeat_pose(1, pose)[0], np.zeros(len(bias))])
-        covariance = np.zeros((len(mean), len(mean)))
-        covariance[3:, 3:] = bias
+    def at(cls, pose: ArrayLike) -> EkfSlamState:
+        """Begin at a pose (3,) that is exact; raises ArgumentError where it is none."""
+        (mean,) = repeat_pose(1, pose)
         nothing = np.empty(0, np.int64)
-        first = np.empty((0, 2))
-        start = mean[:3].copy()
-        errors = len(bias)
-        return cls(mean, covariance, start, first, nothing, np.empty(0), nothing, biases=errors, width=width)
-
-    @property
-    def first(self) -> int:
-        """Row of the first landmark: 3 + B."""
-        return 3 + self.biases
+        return cls(mean, np.zeros((3, 3)), mean.copy(), np.empty((0, 2)), nothing, np.empty(0), nothing)
 
     @property
     def pose(self) -> FloatArray:
@@ -319,24 +263,13 @@ class EkfSlamState:
     @property
     def positions(self) -> FloatArray:
         """Mean positions (M, 2) of the landmarks."""
-        return self.mean[self.first :].reshape(-1, self.width)[:, :2]
-
-    @property
-    def own_errors(self) -> FloatArray:
-        """Mean errors (M, 2) of the observations of each landmark, where they are correlated in time."""
-        return self.mean[self.first :].reshape(-1, self.width)[:, 2:]
+        return self.mean[3:].reshape(-1, 2)
 
     @property
     def position_covariances(self) -> FloatArray:
         """Covariance (M, 2, 2) of each landmark's position."""
-        return self.landmark_covariances[:, :2, :2]
-
-    @property
-    def landmark_covariances(self) -> FloatArray:
-        """Covariance (M, W, W) of each landmark, with that of the errors of its observations."""
-        count = np.arange(len(self.names))
-        shape = (len(count), self.width, len(count), self.width)
-        return np.asarray(self.covariance[self.first :, self.first :].reshape(shape)[count, :, count])
+        every = np.arange(len(self.names))
+        return np.asarray(self.covariance[3:, 3:].reshape(len(every), 2, len(every), 2)[every, :, every])
 
     def append(self, name: int, position: FloatArray, with_others: FloatArray, own: FloatArray) -> None:
         """Add a landmark at the end.
@@ -345,12 +278,12 @@ class EkfSlamState:
         ----------
         name : int
         position : (2,) float64
-        with_others : (W, n) float64
+        with_others : (2, n) float64
             Its covariance with all that is in the state.
-        own : (W, W) float64
+        own : (2, 2) float64
             Its own covariance.
         """
-        self.mean = np.concatenate([self.mean, position, np.zeros(self.width - 2)])
+        self.mean = np.concatenate([self.mean, position])
         self.covariance = np.block([[self.covariance, with_others.T], [with_others, own]])
         self.first_positions = np.vstack([self.first_positions, position])
         self.names = np.append(self.names, name)
@@ -359,22 +292,11 @@ class EkfSlamState:
 
     def keep(self, kept: NDArray[np.bool_]) -> None:
         """Forget all landmarks but those `kept` (M,)."""
-        rows = np.flatnonzero(np.concatenate([np.ones(self.first, np.bool_), np.repeat(kept, self.width)]))
+        rows = np.flatnonzero(np.concatenate([np.ones(3, np.bool_), np.repeat(kept, 2)]))
         self.mean = self.mean[rows]
         self.covariance = self.covariance[np.ix_(rows, rows)]
         for name in ("first_positions", "names", "evidence", "observations"):
             setattr(self, name, getattr(self, name)[kept])
-
-    def fade(self, kept: float, variances: FloatArray) -> None:
-        """Decay the errors of the observations by the factor `kept`, towards `variances` (M, 2)."""
-        shares = np.ones(len(self.mean))
-        own = shares[self.first :].reshape(-1, self.width)
-        own[:, 2:] = kept
-        self.mean *= shares
-        self.covariance *= shares[:, None] * shares
-        diagonal = np.zeros_like(shares)
-        diagonal[self.first :].reshape(-1, self.width)[:, 2:] = (1 - kept**2) * variances
-        self.covariance[np.diag_indices(len(shares))] += diagonal
 
     def take(self) -> EkfSlamState:
         """Hand the contents over to a new owner; this one raises ConsumedStateError from now on."""

@@ -17,8 +17,8 @@ from gridslam.models.association import NEW
 from gridslam.models.landmark import LandmarkObservations
 from gridslam.particles.policies import EffectiveSampleSizeBelow, ResamplingPolicy
 from gridslam.particles.resampling import Systematic
-from gridslam.slam.landmarks.filters import LandmarkFilters, SampledPoses
-from gridslam.slam.landmarks.particles import LandmarkParticles
+from gridslam.slam.landmarks.filters import LandmarkFilters
+from gridslam.slam.landmarks.particles import LandmarkParticles, PoseBelief
 from gridslam.slam.landmarks.report import LandmarkMap, LandmarkReport
 from gridslam.types import MotionSampler, Resampler
 
@@ -79,7 +79,8 @@ class FastSlam1:
         require_instance("state", state, LandmarkParticles)
         require_generator(rng)
         state = state.take()
-        sampled = SampledPoses(motion(state.poses, rng))  # sample pose: x_t ~ p(x_t | x_t-1, u_t)
+        poses = motion(state.poses, rng)  # sample pose: x_t ~ p(x_t | x_t-1, u_t)
+        sampled = PoseBelief(poses, np.zeros_like(state.pose_covariances))
         log_weights = np.zeros(len(state))
         columns = np.full((len(state), len(observations)), NEW)
         for k in self.landmarks.order(state, observations, sampled).tolist():
@@ -88,7 +89,7 @@ class FastSlam1:
             self.landmarks.correct(state, seen)  # observed landmark: K = Sigma_j H_m' Q^-1
         for k in range(len(observations)):
             self.landmarks.add(state, columns[:, k], sampled, observations, k)  # new landmark: h^-1(z_t, x_t)
-        state.advance(sampled.poses, state.state_covariances, log_weights)
+        state.advance(sampled, log_weights)
         self.landmarks.count(state, columns)  # the counters i_j, of landmarks that should have been seen, too
         report = state.report(columns)
         if self.when_to_resample(report.n_eff, len(state)):

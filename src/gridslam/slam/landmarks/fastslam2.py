@@ -3,8 +3,6 @@
 Where the motion is noisier than the sensor, most poses sampled from the motion model fit no observation, and their
 particles are lost by resampling. Here the Gaussian of the motion is first corrected by the observations, as in an EKF,
 for each particle with its own map.
-
-A variant samples less of the path: `FastSlam2WithCalibration`.
 """
 
 from __future__ import annotations
@@ -17,72 +15,37 @@ from numpy.typing import ArrayLike
 from gridslam.arguments import require_generator, require_instance
 from gridslam.geometry.angles import wrap
 from gridslam.geometry.se2 import lever_arm_jacobian
-from gridslam.kernels import backend
 from gridslam.models.association import NEW
 from gridslam.models.landmark import LandmarkObservations
 from gridslam.particles.policies import EffectiveSampleSizeBelow, ResamplingPolicy
 from gridslam.particles.resampling import Systematic
-from gridslam.slam.landmarks.filters import Innovation, LandmarkFilters, SampledPoses
-from gridslam.slam.landmarks.particles import LandmarkParticles
+from gridslam.slam.landmarks.filters import Innovation, LandmarkFilters
+from gridslam.slam.landmarks.particles import LandmarkParticles, PoseBelief
 from gridslam.slam.landmarks.report import LandmarkMap, LandmarkReport
-from gridslam.slam.landmarks.small_gaussians import draw_poses, transform_covariances
-from gridslam.types import FloatArray, IntArray, MotionSampler, Resampler
+from gridslam.slam.landmarks.small_gaussians import draw_poses, kalman_update, transform_covariances
+from gridslam.types import MotionSampler, Resampler
 
 
 @dataclass(eq=False)
-class PoseProposal:
+class PoseProposal(PoseBelief):
     """p(x_t | x_t-1, u_t, z_t, c_t): the Gaussian from which the pose of each particle is sampled.
 
-    Attributes
-    ----------
-    mean : (N, 3) float64
-        mu_x, map frame: the predicted poses, corrected by the observations so far.
-    covariance : (N, 3, 3) float64
-        Sigma_x: that of the motion, R_t, reduced by the observations so far.
+    The means mu_x are the predicted poses, corrected by the observations so far; the covariances Sigma_x those of the
+    motion, R_t, reduced by the observations so far.
     """
 
-    mean: FloatArray
-    covariance: FloatArray
-
-    @property
-    def poses(self) -> FloatArray:
-        """Mean poses (N, 3)."""
-        return self.mean[:, :3]
-
-    @property
-    def calibration(self) -> FloatArray:
-        """Mounting and scale (N, 2) of the sensor: exact."""
-        return np.zeros((len(self.mean), 2))
-
-    def covariance_seen_from(self, rows: IntArray, columns: IntArray) -> FloatArray:
-        """Covariance (R, 3, 3) of the poses as seen from landmarks (rows, columns)."""
-        return self.covariance.take(rows, axis=0)
-
-    def bound_covariance(self) -> FloatArray:
-        """Upper bound (N, 3, 3) of the pose covariance relative to any landmark."""
-        return self.covariance
-
-    def correct(self, seen: Innovation) -> FloatArray:
-        """Condition on an observation, where it has a landmark; returns by how much the means were shifted.
+    def correct(self, seen: Innovation) -> None:
+        """Condition on an observation, where it has a landmark.
 
         Sigma_x = [H_x' Q^-1 H_x + R^-1]^-1 = R - K H_x R and mu_x = x + Sigma_x H_x' Q^-1 (z - h) = x + K (z - h), with
         the Kalman gain K = R H_x' L^-1, which needs no inverse of R: that may be singular.
         """
-        shift: FloatArray = backend.kalman_update(
-            self.mean, self.covariance, seen.rows, self._jacobian(seen), seen.covariances, seen.residuals
-        )[0]
-        self.mean[:, 2] = wrap(self.mean[:, 2])
-        return shift
+        kalman_update(self.poses, self.covariances, seen.rows, seen.by_pose, seen.covariances, seen.residuals)
+        self.poses[:, 2] = wrap(self.poses[:, 2])
 
-    def sample(self, rng: np.random.Generator) -> SampledPoses:
-        """x_t ~ N(mu_x, Sigma_x); mean and covariance then have the values that the state stores."""
-        self.mean = draw_poses(self.mean, self.covariance, rng)
-        self.covariance = np.zeros_like(self.covariance)
-        return SampledPoses(self.mean, self.calibration)
-
-    def _jacobian(self, seen: Innovation) -> FloatArray:
-        """H_x (R, 2, 3): derivatives of the observation by the variables of the covariance."""
-        return seen.by_pose
+    def sample(self, rng: np.random.Generator) -> PoseBelief:
+        """x_t ~ N(mu_x, Sigma_x)."""
+        return PoseBelief(draw_poses(self.poses, self.covariances, rng), np.zeros_like(self.covariances))
 
 
 @dataclass(frozen=True)
@@ -126,20 +89,19 @@ class FastSlam2:
         require_instance("state", state, LandmarkParticles)
         require_generator(rng)
         state = state.take()
-        mean, R = self._predict(state, motion, rng)  # predict pose: g(x_t-1, u_t), R_t
-        if not len(observations):
-            state.advance(mean, R)
-            return state, state.report(np.empty((len(state), 0), np.int64))
-        proposal = self._propose(state, mean, R)
+        proposal = self._predict(state, motion)  # predict pose: g(x_t-1, u_t), R_t
         log_weights = np.zeros(len(state))
         columns = np.full((len(state), len(observations)), NEW)
+        if not len(observations):
+            state.advance(proposal, log_weights)
+            return state, state.report(columns)
         for k in self.landmarks.order(state, observations, proposal).tolist():
             # predict measurement: h, H_x, H_m, Q_j = H_m Sigma_j H_m' + Q_t, L = H_x R_t H_x' + Q_j; correspondence
             columns[:, k], log_p, seen = self.landmarks.correspond(state, observations, k, proposal, columns, rng)
             log_weights += log_p  # w = N(z; h, L), or p_0 for a new landmark
             proposal.correct(seen)  # covariance and mean of proposal: Sigma_x, mu_x
         sampled = proposal.sample(rng)  # sample pose: x_t ~ N(mu_x, Sigma_x)
-        state.advance(proposal.mean, proposal.covariance, log_weights)
+        state.advance(sampled, log_weights)
         for k in range(len(observations)):  # update Kalman filters
             rows = np.flatnonzero(columns[:, k] >= 0)  # observed landmark: K = Sigma_j H_m' Q_j^-1
             seen = self.landmarks.innovation(state, rows, columns[rows, k], sampled, observations, k)
@@ -156,14 +118,8 @@ class FastSlam2:
         """Return the confirmed landmarks of the best particle."""
         return state.landmark_map()
 
-    def _predict(
-        self, state: LandmarkParticles, motion: MotionSampler, rng: np.random.Generator
-    ) -> tuple[FloatArray, FloatArray]:
+    def _predict(self, state: LandmarkParticles, motion: MotionSampler) -> PoseProposal:
         """p(x_t | x_t-1, u_t), of a pose x_t-1 that was sampled, or whose Gaussian was carried on."""
-        mean, R = motion.moments(state.poses)
-        if state.state_covariances.any():
-            R = R + transform_covariances(lever_arm_jacobian(state.poses, mean), state.state_covariances)
-        return mean, R
-
-    def _propose(self, state: LandmarkParticles, mean: FloatArray, covariance: FloatArray) -> PoseProposal:
-        return PoseProposal(mean, covariance)
+        poses, R = motion.moments(state.poses)
+        G = lever_arm_jacobian(state.poses, poses)
+        return PoseProposal(poses, R + transform_covariances(G, state.pose_covariances))

@@ -3,14 +3,12 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field
-from typing import Protocol, final
+from dataclasses import dataclass, field, fields
+from typing import final
 
 import numpy as np
 from numpy.typing import NDArray
 
-from gridslam.kernels import backend
-from gridslam.kernels.reference_landmarks import DEPTH_BEARING, RANGE_BEARING, RELATIVE_POSITION
 from gridslam.models.association import (
     AMBIGUOUS,
     NEW,
@@ -20,78 +18,23 @@ from gridslam.models.association import (
     MaximumLikelihood,
     signatures,
 )
-from gridslam.models.landmark import (
-    DepthBearing,
-    LandmarkModel,
-    LandmarkObservations,
-    RangeBearing,
-    RelativePosition,
-    linearize_calibrated,
-    locate_calibrated,
-)
-from gridslam.models.systematic_errors import NO_ERRORS, SystematicErrors
-from gridslam.slam.landmarks.particles import LandmarkParticles
+from gridslam.models.landmark import LandmarkModel, LandmarkObservations, RangeBearing
+from gridslam.slam.landmarks.particles import LandmarkParticles, PoseBelief
 from gridslam.slam.landmarks.small_gaussians import (
     inverse_2x2,
+    kalman_update,
     log_density,
     mahalanobis,
     transform_covariances,
 )
 from gridslam.types import FloatArray, IntArray
 
-# Sensors whose predictions a kernel computes; any other one is asked for its own.
-_KINDS: dict[type, int] = {
-    RangeBearing: RANGE_BEARING,
-    DepthBearing: DEPTH_BEARING,
-    RelativePosition: RELATIVE_POSITION,
-}
 _MOST_CANDIDATES = 64
 """Of an observation in a particle: one that may be of any of hundreds of landmarks contains nothing about them.
 
 Of Victoria Park's observations the most are 23, of MRCLAM's 17. Where all landmarks are candidates, as in a log of huge
 covariances, the time would grow with the square of the observations.
 """
-_EXACT, _NO_CALIBRATION = np.empty((0, 3, 3)), np.empty((0, 2))
-
-
-class PoseBelief(Protocol):
-    """The poses from which landmarks are observed: sampled ones, or a Gaussian in each particle."""
-
-    @property
-    def poses(self) -> FloatArray:
-        """Poses (N, 3), or their means."""
-        ...
-
-    @property
-    def calibration(self) -> FloatArray:
-        """Mounting and scale (N, 2) of the sensor in each particle, see `linearize_calibrated`."""
-        ...
-
-    def covariance_seen_from(self, rows: IntArray, columns: IntArray) -> FloatArray | None:
-        """Covariance (R, 3, 3) of the poses as seen from landmarks (rows, columns); None where they are sampled."""
-
-    def bound_covariance(self) -> FloatArray | None:
-        """Upper bound (N, 3, 3) of the pose covariance relative to any landmark; None where they are sampled."""
-
-
-@dataclass(frozen=True, eq=False)
-class SampledPoses:
-    """Poses (N, 3) that are sampled: each particle takes its own for exact; and the calibration (N, 2) of each."""
-
-    poses: FloatArray
-    calibration: FloatArray = field(default_factory=lambda: np.zeros((0, 2)))
-
-    def __post_init__(self) -> None:
-        """Take a sensor without systematic errors where no calibration is given."""
-        if not len(self.calibration):
-            object.__setattr__(self, "calibration", np.zeros((len(self.poses), 2)))
-
-    def covariance_seen_from(self, rows: IntArray, columns: IntArray) -> FloatArray | None:
-        """Return None: there is no covariance."""
-        return None
-
-    def bound_covariance(self) -> None:
-        """Return None: there is no covariance."""
 
 
 @final
@@ -105,8 +48,8 @@ class Innovation:
         Which landmark of which particle.
     residuals, covariances : (R, 2), (R, 2, 2) float64
         Measured minus predicted, and what it is expected to vary by.
-    by_pose, by_landmark, by_errors : (R, 2, 3), (R, 2, 2), (R, 2, B) float64
-        Jacobians of the prediction, the last by the systematic errors.
+    by_pose, by_landmark : (R, 2, 3), (R, 2, 2) float64
+        Jacobians of the prediction.
     """
 
     rows: IntArray
@@ -115,21 +58,10 @@ class Innovation:
     covariances: FloatArray
     by_pose: FloatArray
     by_landmark: FloatArray
-    by_errors: FloatArray
 
     def select(self, chosen: NDArray[np.bool_]) -> Innovation:
         """Return those that are chosen (R,)."""
-        if chosen.all():
-            return self
-        return Innovation(
-            self.rows[chosen],
-            self.columns[chosen],
-            self.residuals[chosen],
-            self.covariances[chosen],
-            self.by_pose[chosen],
-            self.by_landmark[chosen],
-            self.by_errors[chosen],
-        )
+        return Innovation(*(getattr(self, part.name)[chosen] for part in fields(self)))
 
 
 @final
@@ -146,14 +78,11 @@ class LandmarkFilters:
         particle estimates its own.
     existence : LandmarkExistence
         Which landmarks are real, where correspondences are unknown.
-    bias : SystematicErrors
-        Those of the sensor that the particles learn.
     """
 
     sensor: LandmarkModel = field(default_factory=RangeBearing)
     association: Association = field(default_factory=KnownCorrespondence)
     existence: LandmarkExistence = field(default_factory=LandmarkExistence)
-    bias: SystematicErrors = NO_ERRORS
 
     def order(self, state: LandmarkParticles, observations: LandmarkObservations, belief: PoseBelief) -> IntArray:
         """Order (K,) of association: most certain first, by the best particle.
@@ -164,9 +93,7 @@ class LandmarkFilters:
             return np.arange(len(observations))
         best = state.best
         known = state.exists[best]
-        predicted, _, H_m, _ = linearize_calibrated(
-            self.sensor, belief.poses[best], state.positions[best, known], belief.calibration[best]
-        )
+        predicted, _, H_m = self.sensor.linearize(belief.poses[best], state.positions[best, known])
         L = transform_covariances(H_m, state.covariances[best, known]) + self.sensor.noise(observations)[:, None]
         squared, log_dets = mahalanobis(self.sensor.residual(observations.values[:, None], predicted), L)
         return np.argsort((squared + log_dets).min(axis=1, initial=math.inf), kind="stable")
@@ -224,33 +151,12 @@ class LandmarkFilters:
         k: int,
     ) -> Innovation:
         """Predict observation k of R landmarks (rows, columns): h, H_x, H_m, and H_m Sigma H_m' + Q + H_x R H_x'."""
-        R = belief.covariance_seen_from(rows, columns)
         Q = self.sensor.noise(observations)[k]
-        kind = _KINDS.get(type(self.sensor))
-        learned = state.pose_by_bias.size > 0
-        if kind is not None:
-            residuals, L, H_x, H_m, H_c = backend.predict_landmarks(
-                kind,
-                belief.poses,
-                belief.calibration if learned else _NO_CALIBRATION,
-                state.positions,
-                state.covariances,
-                rows,
-                columns,
-                _EXACT if R is None else R,
-                observations.values[k],
-                Q,
-            )
-        else:
-            predicted, H_x, H_m, H_c = linearize_calibrated(
-                self.sensor, belief.poses[rows], state.positions[rows, columns], belief.calibration[rows]
-            )
-            L = transform_covariances(H_m, state.covariances[rows, columns]) + Q
-            if R is not None:
-                L += transform_covariances(H_x, R)
-            residuals = self.sensor.residual(observations.values[k], predicted)
-        by_errors = self.bias.by_calibration(H_c) if learned else H_x[..., :0]
-        return Innovation(rows, columns, residuals, L, H_x, H_m, by_errors)
+        predicted, H_x, H_m = self.sensor.linearize(belief.poses[rows], state.positions[rows, columns])
+        L = transform_covariances(H_m, state.covariances[rows, columns]) + Q
+        L += transform_covariances(H_x, belief.covariances[rows])
+        residuals = self.sensor.residual(observations.values[k], predicted)
+        return Innovation(rows, columns, residuals, L, H_x, H_m)
 
     def correct(self, state: LandmarkParticles, seen: Innovation) -> None:
         """Correct the observed landmarks, given the poses.
@@ -259,11 +165,7 @@ class LandmarkFilters:
         """
         places = seen.rows * state.positions.shape[1] + seen.columns
         means, covariances = state.positions.reshape(-1, 2), state.covariances.reshape(-1, 2, 2)
-        _, gain = backend.kalman_update(means, covariances, places, seen.by_landmark, seen.covariances, seen.residuals)
-        if state.pose_by_bias.size:
-            directly = seen.by_pose @ state.pose_by_bias[seen.rows] + seen.by_errors
-            of = seen.rows, seen.columns
-            state.positions_by_bias[of] -= gain @ (directly + seen.by_landmark @ state.positions_by_bias[of])
+        kalman_update(means, covariances, places, seen.by_landmark, seen.covariances, seen.residuals)
 
     def add(
         self,
@@ -283,16 +185,9 @@ class LandmarkFilters:
         name = int(signatures(observations)[k]) if self.association.uses_signatures else None
         columns[rows] = state.new_columns(rows, name)
         of = rows, columns[rows]
-        c = belief.calibration[rows]
-        state.positions[of] = locate_calibrated(self.sensor, belief.poses[rows], observations.values[k], c)
-        _, H_x, H_m, H_c = linearize_calibrated(self.sensor, belief.poses[rows], state.positions[of], c)
-        root = inverse_2x2(H_m)
-        if state.pose_by_bias.size:
-            by_errors = H_x @ state.pose_by_bias[rows] + self.bias.by_calibration(H_c)
-            state.positions_by_bias[of] = -root @ by_errors
-        state.covariances[of] = transform_covariances(
-            root, np.broadcast_to(self.sensor.noise(observations)[k], root.shape)
-        )
+        state.positions[of] = self.sensor.locate(belief.poses[rows], observations.values[k])
+        _, _, H_m = self.sensor.linearize(belief.poses[rows], state.positions[of])
+        state.covariances[of] = transform_covariances(inverse_2x2(H_m), self.sensor.noise(observations)[k])
         known = self.association.uses_signatures
         state.evidence[of] = math.inf if known else 0.0
         state.confirmed[of] = known
@@ -354,12 +249,10 @@ class LandmarkFilters:
 
         In each particle they are the nearest `_MOST_CANDIDATES` at most.
         """
-        at = locate_calibrated(self.sensor, belief.poses, observations.values[k], belief.calibration)
-        _, H_x, H_m, _ = linearize_calibrated(self.sensor, belief.poses, at, belief.calibration)
-        L = self.sensor.noise(observations)[k]
-        if (bound := belief.bound_covariance()) is not None:
-            L = L + transform_covariances(H_x, bound)
-        reach = np.trace(transform_covariances(inverse_2x2(H_m), np.broadcast_to(L, H_m.shape)), axis1=1, axis2=2)
+        at = self.sensor.locate(belief.poses, observations.values[k])
+        _, H_x, H_m = self.sensor.linearize(belief.poses, at)
+        L = self.sensor.noise(observations)[k] + transform_covariances(H_x, belief.covariances)
+        reach = np.trace(transform_covariances(inverse_2x2(H_m), L), axis1=1, axis2=2)
         reach = reach[:, None] + state.covariances[..., 0, 0] + state.covariances[..., 1, 1]
         x, y = (state.positions[..., i] - at[:, None, i] for i in (0, 1))
         away = x * x + y * y

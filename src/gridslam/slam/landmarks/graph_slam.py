@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from typing import final
 
 import numpy as np
@@ -12,24 +12,14 @@ from gridslam.errors import ArgumentError
 from gridslam.geometry.se2 import compose, compose_jacobians, inverse
 from gridslam.models.association import signatures
 from gridslam.models.landmark import LandmarkModel, LandmarkObservations, LandmarkStep, RangeBearing
-from gridslam.models.systematic_errors import NO_ERRORS, SystematicErrors
 from gridslam.slam.landmarks.report import LandmarkMap
 from gridslam.slam.landmarks.small_gaussians import inverse_2x2, transform_covariances
 from gridslam.slam.pose_graph.graph_slam import GraphSlam, GraphSolution
-from gridslam.slam.pose_graph.linear import BlockSystem, linearize
 from gridslam.slam.pose_graph.marginals import Marginals
 from gridslam.slam.pose_graph.pose_graph import PoseGraph
 from gridslam.types import FloatArray, IntArray, MotionModel
 
 _ALMOST_EXACT = 1e-12  # m^2 and rad^2 added to covariances, since an increment may have no noise
-
-
-_CALIBRATIONS = 2
-"""Solutions of a graph that grew, each with the systematic errors of the one before."""
-_SHORTEST_S = 1e-3
-"""Between two observations of one landmark."""
-_DIFFERENCE = 1e-6
-"""Of a systematic error, for derivatives of the residuals."""
 _ANY = 1.0  # rad^-2, of a heading without any other information
 
 
@@ -46,15 +36,12 @@ class LandmarkGraphSolution:
         In the order of first sight.
     solution : GraphSolution
         Of the whole graph: the begin, the poses, the landmarks.
-    systematic_errors : (B,) float64
-        Of odometry and sensor.
     """
 
     poses: FloatArray
     covariances: FloatArray
     landmarks: LandmarkMap
     solution: GraphSolution
-    systematic_errors: FloatArray
 
     @property
     def degrees_of_freedom(self) -> int:
@@ -78,8 +65,6 @@ class LandmarkGraphSlam:
         If it is robust, it down-weights the observations.
     growth : int
         Steps from one solution to the next; over 200 steps of Victoria Park, 110 m, dead reckoning turns by 0.1 rad.
-    bias : SystematicErrors
-        Systematic errors of odometry and sensor, constant unknowns of the graph.
 
     References
     ----------
@@ -90,7 +75,6 @@ class LandmarkGraphSlam:
     sensor: LandmarkModel = field(default_factory=RangeBearing)
     solver: GraphSlam = field(default_factory=lambda: GraphSlam(first_guess="given"))
     growth: int = 200
-    bias: SystematicErrors = NO_ERRORS
 
     def solve(self, steps: Iterable[LandmarkStep], motion: MotionModel) -> LandmarkGraphSolution:
         """Find the most likely poses and landmarks of a whole log.
@@ -110,67 +94,17 @@ class LandmarkGraphSlam:
         if not len(problem):
             raise ArgumentError("steps", "at least one", "none")
         nodes = np.zeros((1, 3))
-        errors = np.zeros(len(self.bias))
         known = 0
         for until in [*range(self.growth, len(problem), self.growth), len(problem)]:
-            for _ in range(_CALIBRATIONS if len(errors) else 1):
-                corrected = problem.corrected(self.bias, errors)
-                graph = corrected.begin(until, nodes[: known + 1], nodes[known + 1 :])
-                solution = self.solver.solve(graph)
-                nodes = solution.poses
-                known = until
-                if len(errors):
-                    errors, by_errors, spread = self._calibrate(problem, solution, errors)
+            solution = self.solver.solve(problem.begin(until, nodes[: known + 1], nodes[known + 1 :]))
+            nodes = solution.poses
+            known = until
         covariances = Marginals(solution.weighted_graph).covariances
-        if len(errors):
-            covariances = covariances + transform_covariances(by_errors, spread)
         poses = slice(1, known + 1)
         landmarks = slice(known + 1, None)
         observations = np.bincount(problem.place, minlength=len(problem.names))
         found = LandmarkMap(problem.names, nodes[landmarks, :2], covariances[landmarks, :2, :2], observations)
-        return LandmarkGraphSolution(nodes[poses], covariances[poses], found, solution, errors)
-
-    def _calibrate(
-        self, problem: LandmarkGraph, solution: GraphSolution, errors: FloatArray
-    ) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """Gauss-Newton step of the systematic errors b, the poses and landmarks x being eliminated.
-
-        With residuals r(x, b), derivatives J by x and Z by b, and W the information: dx/db = -(J'WJ)^-1 J'WZ, and b's
-        information is Z'WZ - Z'WJ (J'WJ)^-1 J'WZ and its prior's.
-
-        Returns
-        -------
-        errors, by_errors, spread : (B,), (N, 3, B), (B, B) float64
-            b, the derivative of all nodes by it, and its covariance.
-        """
-        graph = solution.graph
-        steps = int(graph.trusted.sum())
-        W = graph.information * solution.weights[:, None, None]
-        r = graph.errors()
-        derivatives = list[FloatArray]()
-        for k in range(len(errors)):
-            other = errors.copy()
-            other[k] += _DIFFERENCE
-            moved = problem.corrected(self.bias, other).begin(steps, graph.poses[: steps + 1], graph.poses[steps + 1 :])
-            units = [b / a for a, b in zip(_units(self.bias, errors), _units(self.bias, other), strict=True)]
-            in_units = moved.errors(graph.poses) * np.where(graph.trusted[:, None], *units)
-            derivatives.append((in_units - r) / _DIFFERENCE)
-        Z = np.stack(derivatives, axis=-1)
-        system = BlockSystem(graph.edges, len(graph.poses), 3)
-        weighted = replace(graph, information=W)
-        system.factorize(system.assemble(linearize(weighted, graph.poses, r))[0])
-        by_errors = np.zeros((len(graph.poses), 3, len(errors)))
-        mixed = list[FloatArray]()
-        for k in range(len(errors)):
-            blocks = linearize(weighted, graph.poses, Z[:, :, k])
-            mixed.append(system.gradient(blocks.gradient_first, blocks.gradient_second))
-            by_errors[:, :, k] = -system.solve(mixed[-1])
-        prior = np.linalg.inv(self.bias.covariance())
-        M = np.stack(mixed, axis=-1)
-        information = np.einsum("mik,mij,mjl->kl", Z, W, Z) + M.T @ by_errors[1:].reshape(-1, len(errors)) + prior
-        gradient = np.einsum("mik,mij,mj->k", Z, W, r) + prior @ errors
-        spread = np.linalg.inv(information)
-        return errors - spread @ gradient, by_errors, (spread + spread.T) / 2
+        return LandmarkGraphSolution(nodes[poses], covariances[poses], found, solution)
 
 
 @final
@@ -221,13 +155,11 @@ class LandmarkGraph:
         place_of = {name: place for place, name in enumerate(dict.fromkeys(reported))}
         place = np.array([place_of[name] for name in reported], np.int64)
         located = [_locate(observations, sensor) for observations in observed]
-        stamps_s = [1e-9 * step.stamp_ns for step in steps for _ in range(len(step.observations))]
-        variances = _correlated_variances(place, np.array(stamps_s), sensor)
         points = np.zeros((len(reported), 3))
         points[:, :2] = np.concatenate([np.empty((0, 2)), *(positions for positions, _ in located)])
         covariances = np.concatenate([np.empty((0, 2, 2)), *(covariances for _, covariances in located)])
         information = np.zeros((len(reported), 3, 3))
-        information[:, :2, :2] = inverse_2x2(covariances * variances[:, None, None])
+        information[:, :2, :2] = inverse_2x2(covariances)
         information[np.unique(place, return_index=True)[1], 2, 2] = _ANY
         return cls(
             increments,
@@ -242,23 +174,6 @@ class LandmarkGraph:
     def __len__(self) -> int:
         """Return the number T of steps."""
         return len(self.increments)
-
-    def corrected(self, bias: SystematicErrors, errors: FloatArray) -> LandmarkGraph:
-        """Return the same measurements without systematic errors (B,)."""
-        if not len(errors):
-            return self
-        increments = self.increments + bias.by_errors(self.increments) @ errors
-        mounted, scale = bias.calibration(errors)
-        points = self.points.copy()
-        points[:, :2] = points[:, :2] / (1.0 + scale) + [mounted, 0.0]
-        of_increments, of_points = _units(bias, errors)
-        return replace(
-            self,
-            increments=increments,
-            increment_information=self.increment_information * of_increments[:, None] * of_increments,
-            points=points,
-            point_information=self.point_information * of_points[:, None] * of_points,
-        )
 
     def begin(self, steps: int, poses: FloatArray, landmarks: FloatArray) -> PoseGraph:
         """Return the graph of the first steps: its poses, then the landmarks seen by then.
@@ -295,37 +210,6 @@ def _locate(observations: LandmarkObservations, sensor: LandmarkModel) -> tuple[
     points = sensor.locate(here, observations.values)
     root = inverse_2x2(sensor.linearize(here, points)[2])
     return points, transform_covariances(root, sensor.noise(observations))
-
-
-def _units(bias: SystematicErrors, errors: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Factors (3,) that turn residuals of increments and of points, in the map's metres, to those of the measurements.
-
-    Noise is of what was measured. If it were of the map's metres, a smaller map would have smaller residuals, and the
-    scales would be found where the map is small.
-    """
-    drove = 1.0 + float(bias.by_errors(np.array([1.0, 0.0, 0.0]))[0] @ errors)
-    measured = 1.0 + float(bias.calibration(errors)[1])
-    return np.array([1.0 / drove, 1.0 / drove, 1.0]), np.array([measured, measured, 1.0])
-
-
-def _correlated_variances(place: IntArray, stamps_s: FloatArray, sensor: LandmarkModel) -> FloatArray:
-    """Factors (K,) by which independent errors would be noisier, to add up to the information of correlated ones.
-
-    The mean of many values of a first-order Gauss-Markov process, which are correlated by r from one to the next, has
-    the variance of as many independent ones of variance (1 + r) / (1 - r) times theirs: Box, Jenkins, Reinsch, Time
-    Series Analysis (1994), 2.1.5. A least-squares graph without states for these errors takes them so.
-    """
-    factors = np.ones(len(place))
-    if not sensor.correlated_share:
-        return factors
-    last = dict[int, float]()
-    for k, (landmark, stamp_s) in enumerate(zip(place.tolist(), stamps_s.tolist(), strict=True)):
-        if landmark in last:
-            passed_s = max(stamp_s - last[landmark], _SHORTEST_S)
-            grown = 1.0 / np.tanh(0.5 * passed_s / sensor.correlation_s)
-            factors[k] = 1.0 + sensor.correlated_share * (grown - 1.0)
-        last[landmark] = stamp_s
-    return factors
 
 
 def _at_the_end(covariances: FloatArray, increments: FloatArray) -> FloatArray:

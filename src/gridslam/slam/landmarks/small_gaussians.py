@@ -7,23 +7,40 @@ import math
 import numpy as np
 
 from gridslam.geometry.angles import wrap
-from gridslam.kernels import backend
-from gridslam.types import FloatArray
-
-
-def transpose(matrices: FloatArray) -> FloatArray:
-    """Transposes (N, j, i) of matrices (N, i, j), copied: products of many small matrices are twice as fast so."""
-    return np.ascontiguousarray(matrices.swapaxes(-1, -2))
+from gridslam.types import FloatArray, IntArray
 
 
 def transform_covariances(jacobians: FloatArray, covariances: FloatArray) -> FloatArray:
-    """J C J' (N, i, i) of Jacobians (N, i, j) and covariances (N, j, j)."""
-    return np.asarray(jacobians @ covariances @ transpose(jacobians))
+    """J C J' (N, i, i) of Jacobians (N, i, j) and covariances (N, j, j), or one for all."""
+    transposed = np.ascontiguousarray(jacobians.swapaxes(-1, -2))  # products are twice as fast with a copy
+    return np.asarray(jacobians @ covariances @ transposed)
 
 
-def matvec(matrices: FloatArray, vectors: FloatArray) -> FloatArray:
-    """Products (N, i) of matrices (N, i, j) and vectors (N, j)."""
-    return np.asarray(np.einsum("nij,nj->ni", matrices, vectors))
+def kalman_update(
+    means: FloatArray,
+    covariances: FloatArray,
+    rows: IntArray,
+    jacobians: FloatArray,
+    innovations: FloatArray,
+    residuals: FloatArray,
+) -> None:
+    """Condition R of X Gaussians, all different, on an observation of two numbers each; writes to them.
+
+    Parameters
+    ----------
+    means, covariances : (X, D), (X, D, D) float64
+    rows : (R,) int64
+        Which.
+    jacobians : (R, 2, D) float64
+        H.
+    innovations, residuals : (R, 2, 2), (R, 2) float64
+        S, of full rank, and z - h: K = P H' S^-1 is Kalman's gain.
+    """
+    before = covariances[rows]
+    shared = before @ jacobians.swapaxes(1, 2)
+    gains = shared @ inverse_2x2(innovations)
+    covariances[rows] = before - gains @ shared.swapaxes(1, 2)
+    means[rows] += (gains @ residuals[..., None])[..., 0]
 
 
 def inverse_2x2(matrices: FloatArray) -> FloatArray:
@@ -47,13 +64,16 @@ def log_density(squared: FloatArray | float, log_dets: FloatArray) -> FloatArray
 
 
 def draw_poses(means: FloatArray, covariances: FloatArray, rng: np.random.Generator) -> FloatArray:
-    """Draw a pose (N, 3) from each Gaussian (N, 3), (N, 3, 3)."""
-    drawn = draw(means, covariances, rng)
-    drawn[:, 2] = wrap(drawn[:, 2])
-    return drawn
+    """Draw a pose (N, 3) from each Gaussian (N, 3), (N, 3, 3); variances may be 0.
 
-
-def draw(means: FloatArray, covariances: FloatArray, rng: np.random.Generator) -> FloatArray:
-    """Draw a vector (N, i) from each Gaussian (N, i), (N, i, i); variances may be 0."""
-    drawn: FloatArray = backend.draw_gaussians(means, covariances, rng.standard_normal(means.shape))
-    return drawn
+    Cholesky's factor comes column by column, and each takes away what it explains.
+    """
+    drawn = means.T.copy()
+    left = covariances.transpose(1, 2, 0).copy()  # loops run along the Gaussians
+    for i, number in enumerate(rng.standard_normal(means.shape).T):
+        sigma = np.sqrt(np.maximum(left[i, i], 0.0))
+        column = np.divide(left[i], sigma, out=np.zeros_like(left[i]), where=sigma > 0)  # no variance, no covariance
+        drawn += number * column
+        left -= column[:, None] * column
+    drawn[2] = wrap(drawn[2])
+    return np.ascontiguousarray(drawn.T)

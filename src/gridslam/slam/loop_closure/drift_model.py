@@ -166,3 +166,10 @@ def propagate_covariances(poses: FloatArray, moments: FloatArray) -> FloatArray:
     xt = qy - q * y
     yt = q * x - qx
     return np.stack([xx, xy, xt, xy, yy, yt, xt, yt, q], axis=1).reshape(-1, 3, 3)
+
+
+def position_variances(pose: FloatArray, moments: FloatArray) -> FloatArray:
+    """Traces (...) of the covariances of the position that `propagate_covariances` makes at a pose (3,)."""
+    xx, _, yy, q, qx, qy, qxx, _, qyy = np.moveaxis(moments, -1, 0)
+    x, y, _ = pose.tolist()
+    return np.asarray((xx + q * y * y - 2 * qy * y + qyy) + (yy + q * x * x - 2 * qx * x + qxx), np.float64)

@@ -14,10 +14,10 @@ from gridslam.matching.gauss_newton import NO_PRIOR, GaussNewton, cauchy_weights
 from gridslam.parameters import bounded, parameters
 from gridslam.slam.loop_closure.constraints import Constraint, ConstraintSource, transform_match
 from gridslam.slam.loop_closure.key_graph import (
+    KEY_SCANS_PER_SUBMAP,
     KeyGraph,
-    SubmapDistance,
     anchor_of,
-    first_key_scan,
+    position_sigmas,
     submap_of,
 )
 from gridslam.slam.loop_closure.state import LoopClosureState, RejectionReason
@@ -34,8 +34,6 @@ _TRACKED_MAX_CORRECTION_M = 0.2
 """Reject a match farther than this from the tracked pose: the object has moved, or the match slid along a wall."""
 _GATE_SIGMAS = 2.5
 """Standard deviations of the drift that a match may need."""
-_MAX_SIGMA_M = 30.0
-"""Standard deviation of the relative position beyond which the filter's pose proposes nothing."""
 _MIN_INFORMATION = 0.06
 """Minimum eigenvalue of the position information per inlier beam; rejects degenerate places such as bare corridors."""
 _BEAM_SIGMA_M = 0.3
@@ -108,10 +106,6 @@ class PlaceMatching:
             return False
         return float(cauchy_weights(away[known], _MATCHER.cauchy_m).mean()) >= self.inlier_ratio
 
-    def is_within_gate(self, covariance: FloatArray, innovation: FloatArray) -> bool:
-        """Whether the drift explains the innovation (3,) of a match, map frame."""
-        return squared_sigmas(covariance, innovation) < _GATE_SIGMAS**2
-
     def match_tracked_revisit(self, closure_state: LoopClosureState, mapper: OccupancyGridMapping) -> bool:
         """Match the newest key scan to an old submap at its tracked or filtered pose; return whether that was certain.
 
@@ -135,15 +129,15 @@ class PlaceMatching:
         if abs(wrap(constraint.measurement[2] - guess[2])) > _TRACKED_MAX_TURN_RAD:
             return False
         if tracked is None:
-            way = graph.find_distance_to(submap, newest, _MAX_SIGMA_M, 256)
-            if way is None:
-                return False
-            innovation = _innovation(graph, way, constraint)
+            anchor = anchor_of(submap)
+            (expected,), covariances = graph.locate(newest, np.array([anchor]))
+            innovation = compute_innovation(*compose(graph.poses[anchor], np.stack([expected, constraint.measurement])))
             is_far = math.hypot(innovation[0], innovation[1]) > self.filter_max_correction_m
-            if is_far or not self.is_within_gate(way.covariance, innovation):
+            if is_far or squared_sigmas(covariances[0], innovation) >= _GATE_SIGMAS**2:
                 return False
-            if way.sigma_m > self.certain_sigma_m:
-                if not constraint.determined and way.sigma_m > 2 * self.certain_sigma_m:
+            sigma_m = float(position_sigmas(covariances)[0])
+            if sigma_m > self.certain_sigma_m:
+                if not constraint.determined and sigma_m > 2 * self.certain_sigma_m:
                     return False
                 constraint = constraint._replace(source=ConstraintSource.PROXIMITY)
         graph.add(constraint)
@@ -172,7 +166,7 @@ class PlaceMatching:
 
     def _predict_from_filter(self, closure_state: LoopClosureState, oldest: int) -> tuple[int, FloatArray] | None:
         """The old submap nearest to the filter's pose, and that pose in its frame."""
-        anchors = closure_state.online_anchors(oldest + 1)
+        anchors = np.array(closure_state.online_poses[anchor_of(0) : anchor_of(oldest) + 1 : KEY_SCANS_PER_SUBMAP])
         here = closure_state.online_poses[-1]
         away = np.hypot(*(anchors[:, :2] - here[:2]).T)
         submap = int(away.argmin())
@@ -184,13 +178,6 @@ def squared_sigmas(covariance: FloatArray, innovation: FloatArray) -> float:
     return float(innovation @ np.linalg.solve(covariance + _MATCH_COVARIANCE, innovation))
 
 
-def _innovation(graph: KeyGraph, way: SubmapDistance, constraint: Constraint) -> FloatArray:
-    """Innovation (3,) of a constraint with respect to the best path through the graph, map frame."""
-    expected = between(
-        between(graph.tracked[first_key_scan(way.submap)], graph.tracked[anchor_of(way.submap)]), way.pose
-    )
-    turn = graph.poses[-1][2] - expected[2]
-    c = math.cos(turn)
-    s = math.sin(turn)
-    x, y = (constraint.measurement - expected)[:2].tolist()
-    return np.array([c * x - s * y, s * x + c * y, between(expected, constraint.measurement)[2]])
+def compute_innovation(expected: FloatArray, found: FloatArray) -> FloatArray:
+    """Innovation (3,), map frame, of a pose (3,) that was found from where it is expected, (3,)."""
+    return np.append((found - expected)[:2], wrap(found[2] - expected[2]))

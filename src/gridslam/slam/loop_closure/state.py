@@ -17,9 +17,8 @@ from gridslam.grid.tiles import TileMaps
 from gridslam.mapping.occupancy_grid_mapping import OccupancyGridMapping
 from gridslam.serialization import NOT_SAVED
 from gridslam.slam.loop_closure.constraints import Constraint
-from gridslam.slam.loop_closure.key_graph import KeyGraph, anchor_of
+from gridslam.slam.loop_closure.key_graph import KeyGraph
 from gridslam.slam.loop_closure.map_piece import MapPiece, PieceMatch
-from gridslam.slam.loop_closure.rows import Rows, new_poses
 from gridslam.slam.loop_closure.scan_archive import ScanArchive
 from gridslam.slam.loop_closure.submap_pairs import SubmapPairs
 from gridslam.slam.loop_closure.submaps import SubmapCache
@@ -208,9 +207,7 @@ class LoopClosureState:
     """
 
     scans: Annotated[ScanArchive, Size("T", "keys")] = field(default_factory=ScanArchive)
-    graph: Annotated[KeyGraph, "T", Size("constraints", "constraints"), Size("submaps", "complete_submaps")] = field(
-        default_factory=KeyGraph
-    )
+    graph: Annotated[KeyGraph, "T", Size("constraints", "constraints")] = field(default_factory=KeyGraph)
     online_poses: Annotated[list[Annotated[FloatArray, 3]], "T"] = field(default_factory=list)
     search: SubmapSearch = field(default_factory=SubmapSearch)
     rejected: Counter[RejectionReason] = field(default_factory=Counter)
@@ -223,22 +220,10 @@ class LoopClosureState:
     threads: int = field(default=1, metadata=NOT_SAVED)
     submap_cache: SubmapCache = field(default_factory=SubmapCache, metadata=NOT_SAVED)
     pairs: SubmapPairs = field(default_factory=SubmapPairs, metadata=NOT_SAVED)
-    _anchors: Rows[np.float64] = field(init=False, default_factory=new_poses, metadata=NOT_SAVED)
-    # the list of which `_anchors` are, another one after a correction
-    _anchored: list[FloatArray] | None = field(init=False, default=None, metadata=NOT_SAVED)
 
     def submap(self, submap: int, mapper: OccupancyGridMapping) -> TileMaps:
         """The map of a submap, in the frame of its anchor."""
         return self.submap_cache(submap, mapper, self.scans, self.graph)
-
-    def online_anchors(self, submaps: int) -> FloatArray:
-        """Poses (K, 3) of the anchors of the first submaps, as the best particle had them at the time or later."""
-        if self._anchored is not self.online_poses:
-            self._anchored = self.online_poses
-            self._anchors.clear()
-        for submap in range(len(self._anchors), submaps):
-            self._anchors.append(self.online_poses[anchor_of(submap)])
-        return self._anchors.array[:submaps]
 
     def driven_before_found_m(self, first: int) -> float:
         """Metres driven from key scan `first`, the first one of the drive, until it was found in an earlier piece."""

@@ -13,7 +13,7 @@ from gridslam.mapping.occupancy_grid_mapping import OccupancyGridMapping
 from gridslam.parameters import bounded, parameters
 from gridslam.slam.loop_closure.constraints import Constraint, ConstraintSource, key_scan_pairs
 from gridslam.slam.loop_closure.key_graph import KeyGraph, position_sigmas
-from gridslam.slam.loop_closure.place_matching import squared_sigmas
+from gridslam.slam.loop_closure.place_matching import compute_innovation, squared_sigmas
 from gridslam.slam.loop_closure.state import LoopClosureState, SubmapPrior
 from gridslam.slam.loop_closure.submap_matching import SubmapMatch, SubmapMatching
 from gridslam.slam.loop_closure.submap_pairs import SubmapPairs
@@ -281,10 +281,7 @@ class SubmapRecognition:
 def drift_distance(graph: KeyGraph, older: int, key: int, pose: FloatArray) -> float:
     """Squared Mahalanobis distance of a key scan's pose (3,), seen from an older one, from where it is expected."""
     (expected,), (covariance,) = graph.locate(key, np.array([older]))
-    frame = graph.poses[older]
-    guess = compose(frame, expected)
-    found = compose(frame, pose)
-    return squared_sigmas(covariance, np.append((found - guess)[:2], between(guess, found)[2]))
+    return squared_sigmas(covariance, compute_innovation(*compose(graph.poses[older], np.stack([expected, pose]))))
 
 
 def _clique_sizes(consistent: NDArray[np.bool_]) -> IntArray:

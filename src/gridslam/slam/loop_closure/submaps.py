@@ -13,7 +13,7 @@ from gridslam.grid.cells import LOG_ODDS_UNIT
 from gridslam.grid.tiles import TileMaps
 from gridslam.mapping.occupancy_grid_mapping import OccupancyGridMapping
 from gridslam.matching.gauss_newton import NO_PRIOR, GaussNewton
-from gridslam.slam.loop_closure.key_graph import KeyGraph, anchor_of, first_key_scan
+from gridslam.slam.loop_closure.key_graph import KEY_SCANS_PER_SUBMAP, KeyGraph, anchor_of
 from gridslam.slam.loop_closure.scan_archive import ScanArchive
 from gridslam.types import FloatArray, Int32Array, IntArray, Match, StoredScan
 
@@ -40,7 +40,8 @@ _SCANS_AT_A_TIME = 128
 
 def key_scans_of(submap: int, graph: KeyGraph) -> IntArray:
     """Key scans of a submap that no gap in the laser data separates from its anchor."""
-    return graph.select_without_gap(np.arange(first_key_scan(submap), first_key_scan(submap + 1)), anchor_of(submap))
+    first = submap * KEY_SCANS_PER_SUBMAP
+    return graph.select_without_gap(np.arange(first, first + KEY_SCANS_PER_SUBMAP), anchor_of(submap))
 
 
 def match_points(maps: TileMaps, poses: FloatArray, points: FloatArray) -> Match:

@@ -5,16 +5,15 @@ Normal equations whose pattern is found once and whose numbers change.
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any, NamedTuple, final
+from typing import Any, NamedTuple, final
 
 import numpy as np
+from scipy.sparse import coo_matrix, csc_matrix
+from scipy.sparse.csgraph import connected_components
 
 from gridslam.errors import ArgumentError
 from gridslam.slam.pose_graph.pose_graph import PoseGraph
 from gridslam.types import FloatArray, IntArray
-
-if TYPE_CHECKING:
-    from scipy.sparse import csc_matrix
 
 _REFINEMENTS = 5
 """Iterations for the initial headings: each is one solution with the existing factorization, and few are enough."""
@@ -100,16 +99,8 @@ def require_connected(edges: IntArray, poses: int) -> None:
 
 def find_parts(edges: IntArray, poses: int) -> IntArray:
     """Label (N,) of the connected part, from 0 on, in which `edges` (M, 2) put each pose."""
-    first, second = edges.T  # by NumPy, as scipy.sparse.csgraph takes 11 MB
-    labels = np.arange(poses)
-    while True:
-        low = np.minimum(labels[first], labels[second])
-        high = np.maximum(labels[first], labels[second])
-        if (low == high).all():
-            return np.asarray(np.unique(labels, return_inverse=True)[1], np.int64)
-        np.minimum.at(labels, high, low)
-        while (labels != labels[labels]).any():
-            labels = labels[labels]
+    joined = coo_matrix((np.ones(len(edges)), edges.T), (poses, poses))
+    return np.asarray(connected_components(joined, directed=False)[1], np.int64)
 
 
 @final
@@ -146,8 +137,6 @@ class BlockSystem:
 
     def _lay_out(self, pairs: IntArray, place: IntArray) -> None:
         """Find where the numbers of each block go: column by column, the blocks above the diagonal, then its own."""
-        from scipy.sparse import csc_matrix
-
         size = self.size
         free = self.free
         local = np.arange(self.size)[:, None]

@@ -2,19 +2,18 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Iterable
 from dataclasses import dataclass, replace
 from typing import final
 
 import numpy as np
+from scipy.special import chdtri
 
 from gridslam.parameters import bounded, parameters
 from gridslam.slam.pose_graph.descent import Computation, DescentResult, descend, squared_mahalanobis
 from gridslam.slam.pose_graph.linear import BlockSystem, initial_guess, is_connected
-from gridslam.slam.pose_graph.marginals import Marginals
 from gridslam.slam.pose_graph.pose_graph import PoseGraph
-from gridslam.types import FloatArray, IntArray
+from gridslam.types import FloatArray
 
 _LEAST_WEIGHT = 1e-8
 """Keeps the linear system regular where poses are only constrained by rejected measurements."""
@@ -129,7 +128,7 @@ class GraduatedNonConvexity:
     @property
     def bound(self) -> float:
         """c^2, the truncation threshold: the largest squared error of an inlier."""
-        return _chi2_quantile(self.probability)
+        return float(chdtri(3, 1 - self.probability))
 
     def estimate(
         self, graph: PoseGraph, starts: Iterable[FloatArray], max_iterations: int, tolerance: float
@@ -149,18 +148,7 @@ class GraduatedNonConvexity:
                 if found.cost >= (1.0 - _SAME) * best.cost:
                     break
                 best = found
-        return (yield from search.finish((yield from search.readmit_outliers(best)), max_iterations, tolerance))
-
-
-def _chi2_quantile(probability: float) -> float:
-    """Quantile of chi2 with three degrees of freedom, by bisection of its distribution function to the last bit."""
-    low = 0.0  # without scipy.special, which takes 4 MB
-    high = 1e3
-    while low < (middle := 0.5 * (low + high)) < high:
-        half = 0.5 * middle
-        below = math.erf(math.sqrt(half)) - 2 * math.sqrt(half / math.pi) * math.exp(-half) < probability
-        low, high = (middle, high) if below else (low, middle)
-    return high
+        return (yield from search.finish(best, max_iterations, tolerance))
 
 
 @final
@@ -177,31 +165,6 @@ class _Search:
         """Graduate from poses (N, 3), then fit the inliers until the cost stops decreasing."""
         poses, weights = yield from self._graduate(poses)
         return (yield from self._fit_and_reclassify(weights, poses))
-
-    def readmit_outliers(self, best: RobustEstimate) -> Computation[RobustEstimate]:
-        """Readmit rejected measurements whose squared innovation is below c^2, if the cost decreases."""
-        while True:
-            yield
-            rejected = np.flatnonzero(best.weights == 0.0)
-            squared = self._innovations(best, rejected)
-            likely = rejected[squared < self.bound]
-            for chosen in (likely, rejected[np.argsort(squared)[:1]]) if len(likely) else ():
-                weights = best.weights.copy()
-                weights[chosen] = 1.0
-                found = yield from self._fit_and_reclassify(weights, best.solution.poses)
-                if found.cost < (1.0 - _SAME) * best.cost:
-                    best = found
-                    break
-            else:
-                return best
-
-    def _innovations(self, found: RobustEstimate, places: IntArray) -> FloatArray:
-        """Squared innovations (K,) of measurements at `places` (K,) that the solution does not follow."""
-        if not len(places):
-            return np.empty(0)
-        marginals = Marginals(scale_information(self.graph, found.weights).with_poses(found.solution.poses))
-        graph = self.graph
-        return marginals.squared_innovations(graph.edges[places], graph.measurements[places], graph.information[places])
 
     def _fit_and_reclassify(self, weights: FloatArray, poses: FloatArray) -> Computation[RobustEstimate]:
         """Alternate fitting the inliers and reclassifying, from poses (N, 3), until the cost stops decreasing."""

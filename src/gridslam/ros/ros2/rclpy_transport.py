@@ -6,33 +6,37 @@ Scans, transforms and published messages pass through rclpy as bytes: no message
 from __future__ import annotations
 
 import threading
-import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from functools import partial
 from typing import Any, final
 
 from gridslam.errors import ConfigurationError
+from gridslam.io.bags.encoder import MessageEncoder
+from gridslam.io.bags.ros_messages import Wire, wire_of_cdr
 from gridslam.pipeline import describe_error
-from gridslam.ros.node.messages import Level
+from gridslam.ros.node.messages import Level, Outputs
+from gridslam.ros.node.outputs import EncodedOutputs
 from gridslam.ros.node.parameters import node_parameters
-from gridslam.ros.node.service_types import BODY
-from gridslam.ros.node.transport import NO_OPTIONS, POLL_S, TOPICS, Handler, RunOptions, Serve, import_ros
-from gridslam.ros.ros2.transport import Ros2Transport
+from gridslam.ros.node.ros_node import RosNode
+from gridslam.ros.node.transport import LATCHED, NO_OPTIONS, POLL_S, TOPICS, Handler, RunOptions, Serve, import_ros
+from gridslam.ros.ros2.parameter_files import find_foreign_files
 
 NODE_NAME = "gridslam"
 
 _ROS_S = "use_sim_time", "start_type_description_service"  # parameters that rclpy handles
-_TYPES_S = 2.0  # between two looks at the types of others' topics, of which rmw_fastrtps reports none
 
-_import = partial(import_ros, "ROS 2", "source a ROS 2's setup.bash, or use --transport dds")
+_HINT = "source a ROS 2, and install gridslam with its Python (python3 -m venv --system-site-packages)"
+_import = partial(import_ros, "ROS 2", _HINT)
 
 
 @final
-class RclpyTransport(Ros2Transport):
+class RclpyTransport:
     """Publishers, subscriptions and services on a node of rclpy.
 
     A thread of its own runs the executor: a signal interrupts the main thread, and never a callback.
     """
+
+    global_localization = "reinitialize_global_localization"
 
     def __init__(self, node: Any) -> None:  # noqa: ANN401
         self._node = node
@@ -43,11 +47,23 @@ class RclpyTransport(Ros2Transport):
         self._overrides = _import("rclpy.qos_overriding_options").QoSOverridingOptions(policies)
         self._deserialize = _import("rclpy.serialization").deserialize_message
         self._publishers: dict[str, Any] = {}
-        self._expected: dict[str, str] = {}
         self._thread: threading.Thread | None = None
         self._closed = threading.Event()
-        simulated = bool(node.get_parameter("use_sim_time").value)
-        super().__init__(node.get_fully_qualified_name(), simulated=simulated)
+        self.encoder = MessageEncoder(is_ros1=False)
+        self.outputs: Outputs = EncodedOutputs(
+            self.encoder, self._publish, self._now_ns, self._log, self._node.get_name()
+        )
+
+    def connect(self, refuse: Callable[[str, str], None], topics: Mapping[str, str]) -> None:
+        """Create the publishers; `refuse` is called with kind and problem of what cannot be received."""
+        self._refuse = refuse
+        for topic, kind in topics.items():
+            self._add_publisher(topic, kind)
+        self.outputs.topics = tuple(self._publishers)
+
+    def wire_of(self, data: bytes) -> Wire:
+        """Return the encoding of a message; raises MessageError if it has none."""
+        return wire_of_cdr(data)
 
     def resolve(self, topic: str) -> str:
         """Return the full name of a topic, after remapping."""
@@ -60,7 +76,6 @@ class RclpyTransport(Ros2Transport):
         profile = self._profile(reliable=reliable, latched=latched, depth=depth)
         options = {"raw": True, "qos_overriding_options": self._overrides}
         self._node.create_subscription(_import(kind), topic, lambda data: handle(data, ""), profile, **options)
-        self._expected[self.resolve(topic)] = kind.replace("/", "/msg/")
 
     def advertise(self, service: str, kind: str, serve: Serve, *, slow: bool = False) -> None:
         """Offer a service.
@@ -71,11 +86,14 @@ class RclpyTransport(Ros2Transport):
 
         def answer(request: Any, response: Any) -> Any:  # noqa: ANN401
             try:
-                data = self.encoder.encode(f"{kind}_Response{BODY}", *(serve(request) or (0,)))
-                return self._deserialize(data, service_class.Response)
+                answered = serve(request)
+                if isinstance(answered, bytes):
+                    return self._deserialize(answered, service_class.Response)
+                for name, value in zip(response.get_fields_and_field_types(), answered or (), strict=False):
+                    setattr(response, name, value)
             except Exception as error:  # the executor goes on, whatever was asked
-                self._refuse_request(service, describe_error(error))
-                return response
+                self._refuse("request", f"{self.resolve(service)}: {describe_error(error)}")
+            return response
 
         offered = self._node.create_service(service_class, service, partial(partial, answer) if slow else answer)
         send = offered.send_response
@@ -91,12 +109,32 @@ class RclpyTransport(Ros2Transport):
         if slow:
             offered.send_response = start
 
-    def spin(self, ended: threading.Event) -> Iterator[str]:
+    def advertise_parameters(
+        self, values: Mapping[str, Any], change: Callable[[str, Any], str], settable: Sequence[str]
+    ) -> None:
+        """Declare the parameters, of which rclpy lets those be set that are settable."""
+        messages = _import("rcl_interfaces.msg")
+        for name, value in values.items():
+            if self._node.has_parameter(name):
+                self._node.undeclare_parameter(name)
+            read_only = name not in settable
+            why = "read when the node starts" if read_only else ""
+            descriptor = messages.ParameterDescriptor(read_only=read_only, additional_constraints=why)
+            self._node.declare_parameter(name, value, descriptor, ignore_override=True)
+
+        def set_all(parameters: Sequence[Any]) -> Any:  # noqa: ANN401
+            changes = [change(one.name, one.value) for one in parameters if one.name in settable]
+            problems = "; ".join(filter(None, changes))
+            return messages.SetParametersResult(successful=not problems, reason=problems)
+
+        self._node.add_on_set_parameters_callback(set_all)
+
+    def spin(self, ended: threading.Event) -> Iterator[None]:
         """Deliver messages until ROS is shut down or the event is set."""
         self._thread = threading.Thread(target=self._execute, name="gridslam-rclpy", daemon=True)
         self._thread.start()
         while self._rclpy.ok() and not ended.wait(POLL_S):
-            yield ""
+            yield
 
     def close(self) -> None:
         """Shut down."""
@@ -117,7 +155,6 @@ class RclpyTransport(Ros2Transport):
         except ConfigurationError:
             executor = executors.SingleThreadedExecutor()
         executor.add_node(self._node)
-        due_s = 0.0
         while self._rclpy.ok() and not self._closed.is_set():
             try:
                 executor.spin_once(timeout_sec=POLL_S)
@@ -125,34 +162,21 @@ class RclpyTransport(Ros2Transport):
                 break
             except Exception as error:
                 self._refuse("callback", describe_error(error))
-            if time.monotonic() >= due_s:
-                due_s = time.monotonic() + _TYPES_S
-                self._compare_types()
         executor.shutdown()
 
-    def _compare_types(self) -> None:
-        """Warn of topics on which others publish another type."""
-        for topic, expected in self._expected.items():
-            for found in self._node.get_publishers_info_by_topic(topic):
-                if found.topic_type != expected:
-                    problem = f"a publisher sends {found.topic_type}, this node expects {expected}"
-                    self._refuse(f"message type of {topic}", problem)
-
-    def _add_publisher(self, topic: str, kind: str, *, latched: bool, depth: int) -> bool:
+    def _add_publisher(self, topic: str, kind: str) -> None:
+        """Create a publisher, unless it is one of a package that may be missing."""
         try:
             message = _import(kind)
         except ConfigurationError as error:
             if topic in TOPICS:
                 raise
             self._log(Level.WARN, f"{topic} is not published: {error}")
-            return False
-        profile, options = self._profile(latched=latched, depth=depth), {"qos_overriding_options": self._overrides}
+            return
+        latched = topic in LATCHED
+        profile = self._profile(latched=latched, depth=1 if latched else 10)
+        options = {"qos_overriding_options": self._overrides}
         self._publishers[topic] = self._node.create_publisher(message, topic, profile, **options)
-        return True
-
-    def _use_sim_time(self, simulated: bool) -> None:
-        make = _import("rclpy.parameter").Parameter
-        self._node.set_parameters([make("use_sim_time", value=simulated)])
 
     def _publish(self, topic: str, data: bytes) -> None:
         if self._rclpy.ok() and topic in self._publishers:
@@ -196,16 +220,24 @@ def _init_rclpy(rclpy: Any, arguments: list[str]) -> None:  # noqa: ANN401
 
 
 def run_rclpy(arguments: Sequence[str] = (), options: RunOptions = NO_OPTIONS) -> None:
-    """Run the node until ROS or Ctrl-C shuts it down, as `ros2_dds.dds_transport.run_dds` does without ROS.
+    """Run the node until ROS or Ctrl-C shuts it down, then write the results to `out`.
 
-    Raises ConfigurationError if ROS 2 is not available, or a parameter is invalid.
+    Parameters
+    ----------
+    arguments : sequence of str
+        ROS arguments: ``--ros-args -p particles:=80 -r scan:=front/scan --params-file robot.yaml``.
+    options : RunOptions
+        Parameters and viewers.
+
+    Raises
+    ------
+    ConfigurationError
+        ROS 2 is not available, or an argument or parameter is invalid.
     """
     _init_rclpy(_import("rclpy"), ["gridslam", *arguments])
-    node = _import("rclpy.node").Node(
-        NODE_NAME,
-        allow_undeclared_parameters=True,
-        automatically_declare_parameters_from_overrides=True,
-        start_parameter_services=False,
-    )
+    node = _import("rclpy.node").Node(NODE_NAME, automatically_declare_parameters_from_overrides=True)
     parameters = node_parameters({**_read_parameters(node), **options.given}, "default")
-    RclpyTransport(node).run(arguments, parameters, options)
+    transport = RclpyTransport(node)
+    for sentence in find_foreign_files(arguments, node.get_fully_qualified_name()):
+        transport.outputs.log(Level.WARN, sentence)
+    RosNode(transport, parameters).run(options)

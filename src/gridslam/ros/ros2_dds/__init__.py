@@ -1,1 +1,0 @@
-"""The node in ROS 2 by its own RTPS."""
