@@ -16,4 +16,4 @@ run_map, run_localize, run_doctor, run_evaluate, run_trial  # targets of jobs, w
     runner_up_pose,
     agreeing_keypoints,
 )  # read together with others
-to_planar, laser_motion, squared_innovations  # offered to callers
+to_planar, laser_motion, squared_innovations, read_trajectory_csv  # offered to callers

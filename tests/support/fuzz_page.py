@@ -88,7 +88,7 @@ def page_requests(folder: Path) -> Iterator[tuple[str, Any, Any, float]]:
 def _write(make: Callable[[np.random.Generator], tuple[bytes, bytes]], to: Path, rng: np.random.Generator) -> None:
     """Write what is sent over some connections, at once and after the first answer, and to what content."""
     sent = [[part.decode("latin-1") for part in make(rng)] for _ in range(4)]
-    (to / "case.json").write_text(json.dumps({"content": choose(rng, ("replay", "live", "robot")), "sent": sent}))
+    (to / "case.json").write_text(json.dumps({"content": choose(rng, ("replay", "live")), "sent": sent}))
 
 
 def _make_request(rng: np.random.Generator) -> tuple[bytes, bytes]:
@@ -201,7 +201,7 @@ def _visit(out: Path, result: Any, where: Path) -> None:
 def _serve(content: str, out: Path, result: Any) -> PageServer | LivePage:
     if content == "replay":
         return PageServer(Replay(out), LiveOptions(port=0))
-    page = LivePage("drive", LiveOptions(port=0), is_robot=content == "robot")
+    page = LivePage("drive", LiveOptions(port=0))
     page._run.finish(result.map, result.graph.poses, np.zeros((0, 4)))
     return page
 

@@ -57,20 +57,10 @@ class PageClient:
         replica = TileReplica()
         replica.apply(split_into_tiles(grid))
         at, looks, _ = replica.since(0, 10**9)
-        expected = {tuple(where): look for where, look in zip(at.tolist(), looks, strict=True) if look.any()}
+        tiles = zip(map(tuple, at.tolist()), unpack_tiles(looks), strict=True)
+        expected = {where: look for where, look in tiles if look.any()}
         seen = {where: look for where, look in self.tiles.items() if look.any()}
         return expected.keys() == seen.keys() and all(np.array_equal(seen[where], expected[where]) for where in seen)
-
-    def past_of(self, particle: int) -> np.ndarray:
-        """Places (T, 2) of a particle's past, as the page draws it."""
-        at, places = int(self.arrays["tree_leaves"][particle]), []
-        while at >= 0:
-            places.append(self.arrays["tree"][at])
-            at = int(self.arrays["tree_parents"][at])
-        stem = self.path[: self.status.get("shared", 0)]
-        if at == -2:
-            stem = stem[:0]
-        return np.concatenate([stem, np.array(places[::-1]).reshape(-1, 2)])
 
 
 def decode(message: bytes) -> tuple[dict[str, Any], dict[str, np.ndarray]]:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import threading
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import AbstractContextManager, ExitStack, contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple, TypeVar
@@ -11,7 +11,6 @@ from typing import TYPE_CHECKING, Any, NamedTuple, TypeVar
 import click
 import numpy as np
 
-from gridslam.cli.options import name_option
 from gridslam.cli.output import warn
 from gridslam.errors import OutputError
 from gridslam.live.options import LiveOptions
@@ -25,15 +24,12 @@ if TYPE_CHECKING:
     from gridslam.io.output import OutputFolder
     from gridslam.live.history_recorder import HistoryRecorder
     from gridslam.live.page import LivePage
-    from gridslam.live.results import StaticView
-    from gridslam.pipeline import Stopwatch
+    from gridslam.pipeline import Observer, Stopwatch
     from gridslam.ros import NodeCore
     from gridslam.ros.node.messages import Diagnostics
     from gridslam.types import OccupancyGrid
 
 _Page = TypeVar("_Page")
-_MOST_MOMENTS = 512
-_KEYS_BETWEEN_MOMENTS = 8  # at first
 
 
 class Viewers(NamedTuple):
@@ -44,21 +40,20 @@ class Viewers(NamedTuple):
     messages: Messages
 
     def watch(self, source: Log, watch: Stopwatch) -> dict[str, Any]:
-        """Return the arguments `observers` and `gate` of a run on a log: viewers control when scans are processed."""
-        if self.page is not None:
-            self.page.set_progress(lambda: source.statistics.share_read)
+        """Return the arguments `observers` and `gate` of a run on a log: the page controls when scans are processed."""
+        page, history = self.page, self.history
+        observers: list[Observer] = []
+        if page is not None:
+            page.set_progress(lambda: source.statistics.share_read)
+            observers.append(isolate(page.observer, _warn_once("the page")))
+        if history is not None:
+            observers.append(isolate(history, _warn_once("the history")))
 
         def gate(measurements: Iterable[Measurement]) -> Iterator[Measurement]:
-            paced = iter(measurements) if self.page is None else self.page.pace(measurements, watch)
-            if self.page is None and self.history is not None:
-                self.history.reset()  # of a piece before
-                paced = self.history.follow(paced)
-            return paced
+            paced = iter(measurements) if page is None else page.pace(measurements, watch)
+            return paced if history is None else history.follow(paced)
 
-        viewers = [] if self.page is None else [isolate(self.page.observer, _warn_once("the page"))]
-        if self.page is None and self.history is not None:
-            viewers.append(isolate(self.history, _warn_once("the history")))
-        return {"observers": viewers, "gate": gate}
+        return {"observers": observers, "gate": gate}
 
     def write_history(self, folder: OutputFolder) -> None:
         """Write the history of the run, if there is one."""
@@ -72,18 +67,13 @@ class Viewers(NamedTuple):
         if self.page is not None and timeout_s > 0:
             warn(f"open the page to begin; without it the run begins in {timeout_s:.0f} s")
             if not self.page.wait_for_viewer(timeout_s):
-                self.page.control.set_speed(None)
+                self.page.observer.speed = None
 
     def report(self, text: str, level: Level = Level.WARN) -> None:
         """Report on stderr, on the page and in run.json."""
         self.messages.report(level, text)
         if self.page is not None:
             self.page.show_messages(self.messages.to_list())
-
-    def show_session(self, name: str, drives: Sequence[str]) -> None:
-        """Show on the page the session that the run continues: the name of its file, and its drives."""
-        if self.page is not None:
-            self.page.show_session(name, drives)
 
     def show_result(self, result: MapResult) -> None:
         """Show the result of a run on the page."""
@@ -127,16 +117,17 @@ def open_viewers(
 
     The known map is needed where a localization is looked at.
     """
-    messages = Messages(lambda level, text: warn(text))
-    with ExitStack() as stack:
-        if live is None:
-            history = _record_history(range_max_m, is_localization) if has_history else None
-            yield Viewers(None, history, messages)
-            return
-        from gridslam.live.page import LivePage
+    from gridslam.live.history_recorder import HistoryRecorder
 
-        page = stack.enter_context(serve_page(LivePage(title, live, range_max_m=range_max_m, known=known)))
-        viewers = Viewers(page, page.observer.history if has_history else None, messages)
+    messages = Messages(lambda level, text: warn(text))
+    history = HistoryRecorder(range_max_m, is_localization=is_localization) if has_history else None
+    if live is None:
+        yield Viewers(None, history, messages)
+        return
+    from gridslam.live.page import LivePage
+
+    with serve_page(LivePage(title, live, range_max_m=range_max_m, known=known)) as page:
+        viewers = Viewers(page, history, messages)
         announce(page.url, live)
         viewers.wait(live.wait_s or 0.0)
         yield viewers
@@ -146,15 +137,6 @@ def open_viewers(
                 page.serve_until_left(out)
             except KeyboardInterrupt:  # the results are written, and nothing is cut short
                 return
-
-
-def _record_history(range_max_m: float, is_localization: bool) -> HistoryRecorder:
-    """Return an observer that records the history of an unwatched run: fewer moments, at less cost."""
-    from gridslam.live.history_recorder import HistoryRecorder
-
-    return HistoryRecorder(
-        range_max_m, is_localization=is_localization, most=_MOST_MOMENTS, interval=_KEYS_BETWEEN_MOMENTS
-    )
 
 
 @contextmanager
@@ -173,17 +155,14 @@ def node_page(live: LiveOptions, title: str, core: NodeCore, known: OccupancyGri
     """Serve the page of a node that is not started yet, until it has ended."""
     from gridslam.live.page import LivePage
 
-    page = LivePage(title, live, range_max_m=core.configuration.range_max_m, known=known, is_robot=True)
+    page = LivePage(title, live, range_max_m=core.configuration.range_max_m, known=known)
     with serve_page(page):
 
         def on_diagnostics(diagnostics: Diagnostics) -> None:
             page.show_state(diagnostics.state, diagnostics.values["state"])
             page.show_messages(core.messages.to_list())
-            mapped = core.mapped_session
-            if mapped is not None and mapped.continued is not None:
-                page.show_session(mapped.continued.path.name, mapped.continued.names)
 
-        core.add_observer(page.observer, page.follow_session, on_diagnostics)
+        core.add_observer(page.observer, page.follow, on_diagnostics)
         announce(page.url, live)
         yield
 
@@ -203,43 +182,22 @@ def open_page(url: str, live: LiveOptions) -> None:
             warn("no browser was found to open the page")
 
 
-def view(
-    out: Path,
-    live: LiveOptions,
-    *,
-    edit: bool = False,
-    floor: str | None = None,
-) -> None:
-    """Show a finished run, or a map of a session, in the browser until interrupted, which is how it ends well."""
+def view(out: Path, live: LiveOptions, *, edit: bool = False) -> None:
+    """Show a finished run in the browser until interrupted, which is how it ends well."""
     from gridslam.live.edits import EditsFile
     from gridslam.live.replay import Replay
     from gridslam.live.server import PageServer
 
-    speed = 10.0 if live.speed is None else live.speed
-    is_session = out.suffix == ".gridslam"
-    if is_session and edit:
-        raise click.UsageError("--edit needs a folder OUT (session FILE -o OUT writes its maps)")
-    if floor is not None and not is_session:
-        raise click.UsageError("--floor needs a session, NAME.gridslam")
+    if edit and not live.is_local:
+        raise click.UsageError("--edit contradicts --live-host: who can open the page could change the edits")
     edits = EditsFile(out, warn) if edit else None
-    replay = Replay(out, speed, edit, shown=_open_session_map(out, floor) if is_session else None)
+    replay = Replay(out, live.speed or 10.0, edit)
     with serve_page(PageServer(replay, live, edits=edits)) as page:
-        if replay.results.missing:
-            warn(f"{out}: {replay.results.missing}")
+        for message in replay.found.messages[: replay.found.grid is None]:
+            warn(f"{out}: {message['text']}")
         click.echo(f"{out}: open {page.url} (Ctrl-C ends)")
         open_page(page.url, live)
         try:
             threading.Event().wait()
         except KeyboardInterrupt:
             click.echo("closed")
-
-
-def _open_session_map(path: Path, floor: str | None) -> StaticView:
-    """Open a map of a session, the newest drive's unless a floor is named."""
-    from gridslam.api.session import Session
-    from gridslam.live.results import StaticView
-
-    session = Session.open(path)
-    with name_option(floor="--floor"):
-        number = session.find_map(floor)
-    return StaticView(session.maps[number].whole())

@@ -45,8 +45,6 @@ def map_to_folder(
         open_viewers(live, source.path.name, configuration.range_max_m, out=out, has_history=not no_history) as viewers,
         name_option(floor="--floor"),
     ):
-        if opened is not None and session.continued is not None:
-            viewers.show_session(session.continued.name, [drive.name for drive in opened.saved.drives])
         with open_output(out, MapResult.all_names()) as folder:
             if opened is None:
                 run = partial(map_log, configuration=configuration, seed=given.seed, threads=given.threads)

@@ -70,7 +70,7 @@ _HOST_OPTIONS = (
     click.option(
         "--live-host",
         metavar="HOST",
-        help="Address of the page; any other than 127.0.0.1 exposes it, protected by a token.",
+        help="Address of the page; any other than 127.0.0.1 opens it to the network.",
     ),
 )
 _LIVE_OPTION = click.option("--live", is_flag=True, help="Show the run live in the browser.")
@@ -83,7 +83,7 @@ _LIVE_NAMES = {
 }
 _OPEN_OPTION = click.option("--open", "live_opens", is_flag=True, help="Open the page in the default browser.")
 _SPEED_OPTION = click.option(
-    "--live-speed", type=Number(), metavar="FACTOR", help="Initial speed of the page, a factor on real time."
+    "--live-speed", type=Number(), metavar="FACTOR", help="Maximum speed, a factor on real time."
 )
 _WAIT_OPTION = click.option(
     "--wait", "live_wait_s", type=SECONDS, metavar="S", help="Wait up to S seconds for a viewer."

@@ -5,21 +5,21 @@ from __future__ import annotations
 import math
 import zlib
 from bisect import bisect_right
-from collections.abc import Mapping, Sequence
-from typing import Annotated, Any, NamedTuple, TypeAlias, final
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, Annotated, Any, NamedTuple, final
 
 import numpy as np
 from numpy.typing import NDArray
 
-from gridslam.kernels import TILE
-from gridslam.live.ancestry_tree import NO_POINTS, Float32Array
+from gridslam.live.protocol import NO_POINTS, Float32Array
+from gridslam.live.scene import Frame
+from gridslam.live.tiles import TILE_BYTES, PackedTiles, TileReplica
 from gridslam.slam.loop_closure.constraints import select_shown_closures
-from gridslam.types import FloatArray, IntArray
+from gridslam.types import FloatArray, IntArray, StepReport
 
-PackedTiles: TypeAlias = dict[tuple[int, int], bytes]
-"""Levels of tiles by row and column, as `gridslam.live.protocol.pack_tiles` packs them."""
+if TYPE_CHECKING:
+    from gridslam.localization import LocalizationReport
 
-TILE_BYTES = TILE * TILE // 2
 LOST = 1
 """Flag of a key scan: the robot was lost."""
 CORRECTED = 8
@@ -28,10 +28,9 @@ SCAN_UNIT_M = 0.01
 """Scans are stored in whole multiples of this length."""
 NO_CLOUD: Float32Array = np.zeros((0, 4), np.float32)
 NO_TILES: NDArray[np.uint8] = np.zeros(0, np.uint8)
-_MOST_MOMENTS = 1024
+_MOST_MOMENTS = 512
+_FIRST_INTERVAL = 8
 _COMPRESSION = 1  # of zlib: a moment of the Intel log takes 0.15 ms
-_KEYFRAME = 32  # moments between two maps that are kept for seeking
-_UNKNOWN_TILE = bytes(TILE_BYTES)
 
 
 @final
@@ -92,7 +91,7 @@ def unpack_tiles(tiles: NDArray[np.uint8], count: int) -> bytes:
     return data
 
 
-def pack_tiles(tiles: NDArray[np.uint8]) -> NDArray[np.uint8]:
+def compress_tiles(tiles: NDArray[np.uint8]) -> NDArray[np.uint8]:
     """Return packed levels (K, `TILE_BYTES`), compressed: (B,)."""
     return np.frombuffer(zlib.compress(tiles.tobytes(), _COMPRESSION), np.uint8) if len(tiles) else NO_TILES
 
@@ -156,7 +155,7 @@ class History:
         How many of them, from the first on, are recognized; the others are tracked.
     """
 
-    def __init__(self, most: int = _MOST_MOMENTS, interval: int = 1) -> None:
+    def __init__(self, most: int = _MOST_MOMENTS, interval: int = _FIRST_INTERVAL) -> None:
         """Start without moments."""
         self.moments: list[Moment] = []
         self.interval = interval
@@ -177,6 +176,12 @@ class History:
         self.stamps_ns.append(stamp_ns)
         self.scans.append(scans)
         self._series.append(np.array([[1e-9 * (stamp_ns - self.stamps_ns[0]), *figures[1:]]]))
+
+    def note_report(self, report: StepReport | LocalizationReport, scans: int, seconds: float) -> None:
+        """Note a key scan by its report, the number of scans by then, and the time that it took, s."""
+        flags = LOST * report.lost | CORRECTED * (isinstance(report, StepReport) and report.corrected)
+        count = 0 if report.poses is None else len(report.poses)
+        self.note_key_scan(report.stamp_ns, scans, (0.0, report.n_eff, 1e3 * seconds, flags, count))
 
     def describe(self, at: int) -> dict[str, Any]:
         """Return the values of a key scan, counted from 0, for the page."""
@@ -226,71 +231,40 @@ class History:
 
 
 @final
-class PastMaps:
-    """The map at each moment of a history, for readers in one thread that go forward and back."""
+class PastReader:
+    """Reads a history at any of its moments in any order.
+
+    Attributes
+    ----------
+    replica : TileReplica
+        The map as it was at the moment that was read last.
+    """
 
     def __init__(self, history: History) -> None:
         """Start before the first moment."""
         self._history = history
-        self._keyframes: dict[int, PackedTiles] = {-1: {}}
         self._tiles: PackedTiles = {}
         self._index = -1
+        self.replica = TileReplica()
 
-    def at(self, index: int) -> PackedTiles:
-        """Return the tiles at a moment; the result is not to be written to, and valid until the next call."""
+    def read(self, keys: int) -> tuple[Moment, Frame] | None:
+        """Return the run after at most this number of key scans, and update the map; None before the first moment."""
+        history = self._history
+        index = history.find(keys)
+        if index < 0:
+            return None
         if index < self._index:
-            kept = max(k for k in self._keyframes if k <= index)
-            self._index, self._tiles = kept, dict(self._keyframes[kept])
-        while self._index < index:
-            self._index += 1
-            self._tiles.update(self._history.moments[self._index].unpack())
-            if self._index % _KEYFRAME == 0 and self._index not in self._keyframes:
-                self._keyframes[self._index] = dict(self._tiles)
-        return self._tiles
-
-
-@final
-class PastReplica:
-    """The past maps that a viewer sees; each change of a tile gets the next sequence number, as in a `TileReplica`."""
-
-    def __init__(self) -> None:
-        """Start with an empty map."""
-        self._tiles: PackedTiles = {}
-        self._numbers: dict[tuple[int, int], int] = {}  # in ascending order
-        self.sequence = 0
-
-    def show(self, tiles: Mapping[tuple[int, int], bytes]) -> None:
-        """Replace the map by these tiles."""
-        for at in [at for at in self._tiles if at not in tiles]:
-            self._put(at, _UNKNOWN_TILE)
-        for at, packed in tiles.items():
-            self._put(at, packed)
-
-    def since(self, number: int, most: int) -> tuple[NDArray[np.int32], NDArray[np.uint8], int]:
-        """Return rows and columns (K, 2), levels (K, 32, 32) and last number of the next `most` tiles after one."""
-        newer = [(at, value) for at, value in self._numbers.items() if value > number]
-        last = newer[most - 1][1] if len(newer) > most else self.sequence
-        at = [at for at, _ in newer[:most]]
-        packed = np.frombuffer(b"".join(self._tiles[one] for one in at), np.uint8)
-        pairs = np.stack([packed & np.uint8(15), packed >> np.uint8(4)], axis=-1)
-        levels: NDArray[np.uint8] = pairs.reshape(-1, TILE, TILE).astype(np.uint8, copy=False)
-        return np.array(at, np.int32).reshape(-1, 2), levels, last
-
-    def _put(self, at: tuple[int, int], packed: bytes) -> None:
-        if self._tiles.get(at, _UNKNOWN_TILE) != packed:
-            self._tiles[at] = packed
-            self.sequence += 1
-            self._numbers.pop(at, None)
-            self._numbers[at] = self.sequence
-
-
-def count_common(a: FloatArray | Float32Array, b: FloatArray | Float32Array) -> int:
-    """Return how many rows, from the first on, are the same."""
-    count = min(len(a), len(b))
-    if a is b:
-        return count
-    same = ((a[:count] == b[:count]) | (np.isnan(a[:count]) & np.isnan(b[:count]))).all(axis=1)
-    return count if same.all() else int(np.argmin(same))
+            self._tiles = {}
+            self._index = -1
+        for moment in history.moments[self._index + 1 : index + 1]:
+            self._tiles.update(moment.unpack())
+        self._index = index
+        self.replica.replace(self._tiles)
+        moment = history.moments[index]
+        path = history.path(index)
+        pairs = history.shown_closures
+        ends = path[pairs[pairs[:, 1] < len(path)]].reshape(-1, 4)
+        return moment, Frame(path, moment.particles, ends)
 
 
 def round_scan(ends: FloatArray | Float32Array) -> NDArray[np.int16]:

@@ -10,8 +10,9 @@ import numpy as np
 from gridslam.arguments import COUNT
 from gridslam.errors import ArgumentError
 from gridslam.io.sessions.archive_file import name_file, read_arrays
-from gridslam.live.ancestry_tree import Float32Array
-from gridslam.live.history import TILE_BYTES, History, Moment, unpack_tiles
+from gridslam.live.history import History, Moment, unpack_tiles
+from gridslam.live.protocol import Float32Array
+from gridslam.live.tiles import TILE_BYTES
 from gridslam.serialization import from_arrays, to_arrays
 from gridslam.types import IntArray
 

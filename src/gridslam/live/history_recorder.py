@@ -9,20 +9,10 @@ from typing import TYPE_CHECKING, Any, TypeVar, final
 import numpy as np
 from numpy.typing import NDArray
 
-from gridslam.live.ancestry_tree import NO_POINTS
-from gridslam.live.history import (
-    CORRECTED,
-    LOST,
-    NO_TILES,
-    History,
-    Moment,
-    RowBuffer,
-    count_common,
-    pack_tiles,
-    round_scan,
-)
+from gridslam.live.history import NO_TILES, History, Moment, RowBuffer, compress_tiles, round_scan
 from gridslam.live.monitor import ClosureCollector
-from gridslam.live.protocol import pack_tiles as pack_levels
+from gridslam.live.protocol import NO_POINTS
+from gridslam.live.scene import count_common
 from gridslam.live.tiles import TileChangeDetector, TileReplica
 from gridslam.slam.grid_fastslam.state import GridFastSlamState
 from gridslam.types import FloatArray, LaserScan, Odometry, StepReport
@@ -46,10 +36,6 @@ class HistoryRecorder:
         Beams of this range or more are not recorded; infinite if unknown.
     is_localization : bool
         Whether the filter localizes in a known map.
-    most : int, >= 2
-        Moments of a session that are not exceeded.
-    interval : int, >= 1
-        Key scans between two moments at first.
 
     Attributes
     ----------
@@ -57,24 +43,15 @@ class HistoryRecorder:
         The past of the current session.
     """
 
-    def __init__(
-        self,
-        range_max_m: float = math.inf,
-        *,
-        is_localization: bool = False,
-        most: int = 1024,
-        interval: int = 1,
-    ) -> None:
+    def __init__(self, range_max_m: float = math.inf, *, is_localization: bool = False) -> None:
         """Start before the first scan."""
         self._range_max_m = range_max_m
         self._maps = not is_localization
-        self._most = most
-        self._interval = interval
         self.reset()
 
     def reset(self) -> None:
         """Start before the first scan of a new session."""
-        self.history = History(self._most, self._interval)
+        self.history = History()
         self._scans = 0
         self._scan: LaserScan | None = None
         self._path: FloatArray = np.zeros((0, 2))
@@ -84,14 +61,11 @@ class HistoryRecorder:
         self._collector = ClosureCollector()
 
     def follow(self, source: Iterable[_Measured]) -> Iterator[_Measured]:
-        """Yield the measurements of a source, and note their scans."""
+        """Start a new session, yield its measurements, and note their scans."""
+        self.reset()
         for measurement in source:
             self._scan = measurement[1]
             yield measurement
-
-    def note_scan(self, scan: LaserScan) -> None:
-        """Note the scan that the filter gets next."""
-        self._scan = scan
 
     def __call__(self, report: Any, state: Any, seconds: float) -> None:  # noqa: ANN401
         """Record a step, if it is a key scan and due."""
@@ -102,9 +76,7 @@ class HistoryRecorder:
             return
         if self._maps and report.corrected:
             self._detector.forget()
-        flags = LOST * report.lost | CORRECTED * (self._maps and report.corrected)
-        count = 0 if report.poses is None else len(report.poses)
-        self.history.note_key_scan(report.stamp_ns, self._scans, (0.0, report.n_eff, 1e3 * seconds, flags, count))
+        self.history.note_report(report, self._scans, seconds)
         if not self._maps:
             self._poses.append(np.full((1, 2), np.nan) if report.lost else report.pose[None, :2])
         if self.history.is_due(len(self.history.stamps_ns)):
@@ -118,8 +90,8 @@ class HistoryRecorder:
             before = self._replica.sequence
             changes = self._detector.find_changes(state.maps, state.best)
             self._replica.apply(changes)
-            at, looks, _ = self._replica.since(before, len(changes.at))
-            tiles = pack_tiles(pack_levels(looks))
+            at, packed, _ = self._replica.since(before, len(changes.at))
+            tiles = compress_tiles(packed)
             self.history.closures, self.history.recognized = self._collector.find(state)
             whole = state.ancestry.trajectory(state.best)[:, :2]
             first = count_common(whole, self._path)

@@ -12,7 +12,6 @@ from typing import TYPE_CHECKING, Any, NamedTuple, TypeAlias, final
 import numpy as np
 
 from gridslam.geometry.se2 import between, compose
-from gridslam.live.ancestry_tree import thin_tree
 from gridslam.live.history import RowBuffer
 from gridslam.live.scene import Frame
 from gridslam.live.tiles import TileChangeDetector, TileChanges
@@ -86,18 +85,13 @@ class MappingMonitor:
 
     def reset(self) -> None:
         """Start before the first scan of a new session with new maps."""
-        self._keys = 0
         self._collector = ClosureCollector()
         self._detector = TileChangeDetector()
-        self._was_searched = False  # the robot, in what earlier drives have left
 
     def record(self, report: StepReport) -> None:
         """Record a scan."""
         self._collector.add(report.closures)
-        if report.skipped is not None:
-            return
-        self._keys += 1
-        if report.corrected:
+        if report.skipped is None and report.corrected:
             self._detector.forget()
 
     def view(self, report: StepReport, state: GridFastSlamState) -> StateView:
@@ -114,35 +108,15 @@ class MappingMonitor:
             particles = np.column_stack([now, np.exp(log_weights)]).astype(np.float32)
             path = ancestry.trajectory(best)[:, :2].astype(np.float32)
             ends = path[closures].reshape(-1, 4)  # corrections move them
-            trunk, tree = thin_tree(ancestry)
-            return Frame(path, tree, particles, ends, len(trunk))
+            return Frame(path, particles, ends)
 
         status = {
             "particles": len(poses),
             "best": best,
             "closures": len(found),
             "bytes": state.maps.nbytes,
-            **self.find_again(state),
         }
         return StateView(changes, state.maps.resolution_m, status, make_frame)
-
-    def find_again(self, state: GridFastSlamState) -> dict[str, Any]:
-        """Return whether the robot is looked for in the map of earlier drives ("searches"), and where it was "found".
-
-        That is the key scan at which it was certain: its pose [x, y, theta], and how far the robot had driven then, m.
-        """
-        closure_state = state.closure_state
-        if closure_state is None:
-            return {}
-        self._was_searched |= closure_state.earlier is not None
-        if not self._was_searched or closure_state.joined < 0:
-            return {"searches": closure_state.earlier is not None}
-        first = len(closure_state.graph) - self._keys  # of this drive
-        at = first + closure_state.joined_after
-        if not 0 < first < at <= len(closure_state.graph):
-            return {"searches": False}
-        way_m = closure_state.driven_before_found_m(first)
-        return {"searches": False, "found": {"pose": closure_state.graph.poses[at - 1].tolist(), "way_m": way_m}}
 
 
 @final

@@ -8,10 +8,8 @@ from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
 from typing import Any, TypeVar, final
 
-from gridslam.live.control import Control
 from gridslam.live.history import History
-from gridslam.live.history_recorder import HistoryRecorder
-from gridslam.live.monitor import FilterMonitor, LocalizationMonitor, StateView
+from gridslam.live.monitor import FilterMonitor, StateView
 from gridslam.localization import LocalizationReport
 from gridslam.pipeline import Stopwatch
 from gridslam.types import LaserScan, Odometry, StepReport
@@ -22,6 +20,8 @@ UNVIEWED_PERIOD_S = 1.0
 """Time between snapshots without viewers, s."""
 
 _Measured = TypeVar("_Measured", bound="tuple[Odometry | None, LaserScan]")
+_MAX_WAIT_S = 0.25  # longer waits are split, so that signals are processed and the page stays fresh
+_MAX_BEHIND_S = 1.0  # of a filter that is slower than the speed, which is not made up for
 _FINAL_SNAPSHOT_S = 1.0  # to wait for the previous snapshot after the last scan, so that the page shows the end
 
 
@@ -41,7 +41,7 @@ class Snapshot:
     scans, keys : int
         Number of scans and key scans.
     history : History
-        The past until then, at least.
+        The key scans until then, at least.
     progress : float
         Ratio of the log that is read, in [0, 1]; NaN if unknown.
     taken_s : float
@@ -69,35 +69,27 @@ class LiveObserver:
     ----------
     post : callable
         Called with each snapshot in the filter's thread; must not block.
-    control : Control
-        Delays the scans that pass through `pace`.
     monitor : FilterMonitor
         Monitor of the filter.
-    history : HistoryRecorder, optional
-        Records the past that viewers may go back to.
+    speed : float or None, > 0
+        Maximum factor on real time of the scans that pass through `pace`; None: as fast as possible.
 
     Attributes
     ----------
+    speed : float or None
+        As given; may be changed.
     period_s : float, s
         Least time between two snapshots; set by the server's thread.
     progress : callable
         Returns how much of the source is read, in [0, 1]; NaN where that is unknown.
     """
 
-    def __init__(
-        self,
-        post: Callable[[Snapshot], None],
-        control: Control,
-        monitor: FilterMonitor,
-        history: HistoryRecorder | None = None,
-    ) -> None:
+    def __init__(self, post: Callable[[Snapshot], None], monitor: FilterMonitor, speed: float | None = None) -> None:
         """Start before the first scan."""
-        is_localization = isinstance(monitor, LocalizationMonitor)
-        self.history = history or HistoryRecorder(is_localization=is_localization)
+        self.speed = speed
         self.period_s = UNVIEWED_PERIOD_S
         self.progress: Callable[[], float] = lambda: math.nan
         self._post = post
-        self._control = control
         self._monitor = monitor
         self._due = 0.0
         self._busy = False
@@ -105,42 +97,49 @@ class LiveObserver:
 
     def reset(self) -> None:
         """Start before the first scan of a new session."""
+        self._history = History()
         self._scans = 0
         self._is_new = False
         self._scan: LaserScan | None = None
         self._latest: tuple[Any, Any] | None = None  # report and state
+        self._anchor: tuple[float, int] | None = None  # a time and the corresponding stamp
         self._monitor.reset()
-        self.history.reset()
 
     def pace(self, source: Iterable[_Measured], stopwatch: Stopwatch | None = None) -> Iterator[_Measured]:
-        """Yield measurements at the pace that the viewers set; the stopwatch does not count the waiting time."""
+        """Yield measurements at the given speed at most; the stopwatch does not count the waiting time."""
         watch = stopwatch or Stopwatch()
         for measurement in source:
             watch.lap("read")
-            if self._control.wait(measurement[1].stamp_ns, self.take_pending_snapshot):
+            if self.speed is not None:
+                self._wait(measurement[1].stamp_ns, self.speed)
                 watch.resume()
-            self._note_scan(measurement[1])
+            self._scan = measurement[1]
             yield measurement
         deadline = time.perf_counter() + _FINAL_SNAPSHOT_S
         while self._busy and time.perf_counter() < deadline:
             time.sleep(0.001)
         self._take_snapshot(time.perf_counter())
 
-    def follow(self, source: Iterable[_Measured]) -> Iterator[_Measured]:
-        """Yield the measurements of a source without delay."""
-        for measurement in source:
-            self._note_scan(measurement[1])
-            yield measurement
+    def _wait(self, stamp_ns: int, speed: float) -> None:
+        """Wait until the scan of this stamp is due."""
+        now = time.perf_counter()
+        begin, first_ns = self._anchor or (now, stamp_ns)
+        due = begin + (stamp_ns - first_ns) * 1e-9 / speed
+        if self._anchor is None or stamp_ns < first_ns or now - due > _MAX_BEHIND_S:
+            self._anchor = now, stamp_ns
+            return
+        while (left := due - time.perf_counter()) > 0:
+            self.take_pending_snapshot()
+            time.sleep(min(left, _MAX_WAIT_S))
 
     def __call__(self, report: Any, state: Any, seconds: float) -> None:  # noqa: ANN401
         """Record one scan, and take a snapshot if it is due."""
         self._scans += 1
         self._latest = (report, state)
         self._is_new = True
-        self.history(report, state, seconds)
         self._monitor.record(report)
         if report.skipped is None:
-            self._control.on_key_scan()
+            self._history.note_report(report, self._scans, seconds)
         if not self._busy and (now := time.perf_counter()) >= self._due:
             self._take_snapshot(now)
 
@@ -148,10 +147,6 @@ class LiveObserver:
         """Take a snapshot of pending changes while no scan arrives; call from the filter's thread."""
         if not self._busy and self._is_new:
             self._take_snapshot(time.perf_counter())
-
-    def _note_scan(self, scan: LaserScan) -> None:
-        self._scan = scan
-        self.history.note_scan(scan)
 
     def release(self) -> None:
         """Permit the next snapshot, after the last one was applied; thread-safe."""
@@ -165,6 +160,5 @@ class LiveObserver:
         self._is_new = False
         report, state = self._latest
         view = self._monitor.view(report, state)
-        history = self.history.history
-        keys = len(history.stamps_ns)
-        self._post(Snapshot(report, view, self._scan, self._scans, keys, history, self.progress(), now))
+        keys = len(self._history.stamps_ns)
+        self._post(Snapshot(report, view, self._scan, self._scans, keys, self._history, self.progress(), now))

@@ -18,12 +18,11 @@ class LiveOptions:
     Attributes
     ----------
     host : str
-        Address to listen on. Only this machine can reach a loopback address; any other is open to the network, and the
-        page then requires a token.
+        Address to listen on. Only this machine can reach a loopback address; any other is open to the network.
     port : int, [0, 65535]
         Port to listen on; 0: any free port.
     speed : float or None, > 0
-        Initial factor on real time; None: as fast as possible.
+        Factor on real time; None: as fast as possible.
     opens : bool
         Whether the page is opened in the default browser.
     wait_s : float or None, s

@@ -10,8 +10,6 @@ from pathlib import Path
 from typing import Any, TypeVar, final
 
 from gridslam.errors import InputError
-from gridslam.live.control import Control
-from gridslam.live.history_recorder import HistoryRecorder
 from gridslam.live.monitor import FilterMonitor, LocalizationMonitor, MappingMonitor
 from gridslam.live.observer import LiveObserver, Snapshot
 from gridslam.live.options import LiveOptions
@@ -30,7 +28,7 @@ class LivePage:
     """Serves the page of one run while its context is entered.
 
     Pass `observer` to `gridslam.pipeline.run` (or to a localization), and `pace(source)` as its source, or
-    `follow_session(source)` for a robot. The page never changes the filter's result.
+    `follow(source)` for each session of a robot. The page never changes the filter's result.
 
     Parameters
     ----------
@@ -42,13 +40,9 @@ class LivePage:
         Maximum range of the filter; farther beams are not displayed.
     known : OccupancyGrid, optional
         The known map of a filter that localizes.
-    is_robot : bool
-        Whether it is the page of a robot, which viewers cannot pause or delay.
 
     Attributes
     ----------
-    control : Control
-        Pause, step and speed of the source that passes through `pace`.
     observer : LiveObserver
         Observer to pass to the pipeline.
     """
@@ -60,17 +54,14 @@ class LivePage:
         *,
         range_max_m: float = math.inf,
         known: OccupancyGrid | None = None,
-        is_robot: bool = False,
     ) -> None:
         """Create the page without serving it."""
         options = options or LiveOptions()
-        self.control = Control(options.speed)
-        self._run = LiveRun(title, self.control, range_max_m, known, is_robot=is_robot)
+        self._run = LiveRun(title, range_max_m, known)
         self._server = PageServer(self._run, options)
         self._last_stage = "final refinement" if known is None else "writing"
         monitor: FilterMonitor = MappingMonitor() if known is None else LocalizationMonitor(known)
-        history = HistoryRecorder(range_max_m, is_localization=known is not None)
-        self.observer = LiveObserver(self._post, self.control, monitor, history)
+        self.observer = LiveObserver(self._post, monitor, options.speed)
         self._run.observer = self.observer
 
     def __enter__(self) -> LivePage:
@@ -80,7 +71,6 @@ class LivePage:
 
     def __exit__(self, *_: object) -> None:
         """Close the page."""
-        self.control.end()
         self._server.__exit__()
 
     @property
@@ -91,27 +81,25 @@ class LivePage:
     @property
     def viewers(self) -> int:
         """Number of viewers."""
-        return self._run.viewers
+        return len(self._run.viewers)
 
     def set_progress(self, progress: Callable[[], float]) -> None:
         """Show progress on the page: `progress` returns the fraction of the source that was read, in [0, 1]."""
         self.observer.progress = progress
 
     def pace(self, source: Iterable[_Measured], stopwatch: Stopwatch | None = None) -> Iterator[_Measured]:
-        """Reset the page, and yield measurements at the pace that the viewers set.
+        """Do as `follow`, and show then that the run goes over to its next stage."""
+        yield from self.follow(source, stopwatch)
+        self._server.call(self._run.set_stage, self._last_stage)
+
+    def follow(self, source: Iterable[_Measured], stopwatch: Stopwatch | None = None) -> Iterator[_Measured]:
+        """Reset the page, and yield the measurements of a session at the speed of the options at most.
 
         The stopwatch does not count the waiting time.
         """
         self._server.call(self._run.reset)
         self.observer.reset()
-        yield from self.observer.pace(source, stopwatch)
-        self._server.call(self._run.set_stage, self._last_stage)
-
-    def follow_session(self, source: Iterable[_Measured]) -> Iterator[_Measured]:
-        """Reset the page, and yield the measurements of a robot's new session without delay."""
-        self._server.call(self._run.reset)
-        self.observer.reset()
-        return self.observer.follow(source)
+        return self.observer.pace(source, stopwatch)
 
     def show_messages(self, messages: Sequence[Mapping[str, Any]]) -> None:
         """Show the messages so far, the newest first (`gridslam.messages.Messages.to_list`)."""
@@ -125,10 +113,6 @@ class LivePage:
     def finish(self, grid: OccupancyGrid, poses: FloatArray, closures: FloatArray) -> None:
         """Show the final result: the map, poses (T, 3) of the key scans, and ends (C, 4) of the loop closures, m."""
         self._server.call(self._run.finish, grid, poses, closures)
-
-    def show_session(self, name: str, drives: Sequence[str]) -> None:
-        """Show the session that the run continues: the name of its file, and its drives."""
-        self._server.call(self._run.show_session, name, drives)
 
     def wait_for_viewer(self, timeout_s: float) -> bool:
         """Wait for a viewer, at most `timeout_s`; return whether there is one."""

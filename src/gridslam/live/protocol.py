@@ -14,13 +14,17 @@ import json
 import struct
 import zlib
 from collections.abc import Mapping
-from typing import Any
+from typing import Any, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
 
 from gridslam.grid.cells import LOG_ODDS_UNIT
 from gridslam.kernels import TILE, UNKNOWN
+
+Float32Array: TypeAlias = NDArray[np.float32]
+
+NO_POINTS: Float32Array = np.zeros((0, 2), np.float32)
 
 STEP_NATS = 0.2
 """Log-odds between two levels."""

@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-import time
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, final
 
@@ -11,31 +10,25 @@ import numpy as np
 
 from gridslam.errors import ArgumentError
 from gridslam.io.text import stay_below
-from gridslam.live.ancestry_tree import NO_POINTS
-from gridslam.live.control import check_speed
-from gridslam.live.finished import count_key_scans, read_optional_history, read_results, read_truth
-from gridslam.live.history import History, PastMaps, PastReplica
-from gridslam.live.past import Past, PastReader
-from gridslam.live.results import MappedRun, StaticView
-from gridslam.live.scene import Scene, SentState, make_run_info
+from gridslam.live.finished import read_finished_run
+from gridslam.live.history import SCAN_UNIT_M, PastReader
+from gridslam.live.protocol import Float32Array
+from gridslam.live.scene import NO_SERIES, Frame, Scene, SentState, make_run_info
 from gridslam.live.tiles import TileReplica
-from gridslam.messages import Level, Messages
 
 
 @final
 class Replay:
-    """The results of a finished run, as content of the page.
+    """The results of a finished run, as content of the page; its steps are the key scans of the newest drive.
 
     Parameters
     ----------
     folder : str or Path
-        OUT of `gridslam map`, `localize`, `grid`, `landmarks`, `graph` or `merge`.
+        OUT of `gridslam map`, `localize`, `grid` or `merge`. Without `history.npz` the end is shown alone.
     speed : float, > 0
         Initial factor on real time.
     is_editable : bool
         Whether the page shows the tools by which the map is edited.
-    shown : StaticView, optional
-        What is shown instead of results in the folder, which is none: a map of the session file of this name.
 
     Raises
     ------
@@ -44,41 +37,38 @@ class Replay:
         link, or lies elsewhere: only those in the folder are read and served.
     """
 
-    def __init__(
-        self,
-        folder: str | Path,
-        speed: float = 10.0,
-        is_editable: bool = False,
-        *,
-        shown: StaticView | None = None,
-    ) -> None:
+    def __init__(self, folder: str | Path, speed: float = 10.0, is_editable: bool = False) -> None:
         """Read the folder."""
         out = Path(folder)
         with stay_below(out):
-            results, title, self.messages = read_results(out) if shown is None else (shown, out.name, [])
-            self.history = read_optional_history(out) if shown is None else None
-            self.truth = read_truth(out, results.trajectory) if shown is None else NO_POINTS
-        self.results = results
-        if results.missing:
-            messages = Messages(lambda level, text: None)
-            messages.report(Level.WARN, results.missing)
-            self.messages = [*messages.to_list(), *self.messages]
-        mode = "still" if isinstance(results, StaticView) else "replay"
-        self.speed = speed
-        found = {"truth": len(self.truth) > 0, "edits": is_editable}
-        if self.history is not None:
-            found |= dict.fromkeys(("scan", "particles"), True)
-        self.past_maps = PastMaps(self.history or History())
-        self.keys = count_key_scans(results, self.history)
-        layers = (
-            *results.layers,
-            *(name for name, is_found in found.items() if is_found and name not in results.layers),
-        )
-        self.run_info = make_run_info(title, mode, layers, results.step, results.grid)
-        self.replica = TileReplica() if self.results.grid is None else TileReplica.of(self.results.grid)
+            found = read_finished_run(out)
+        self.found = found
+        history = found.history
+        steps = 1 if history is None else len(history.stamps_ns)
+        self.last = steps - 1
+        self.series = NO_SERIES if history is None else history.series
+        newest = found.poses if history is None else found.poses[-steps:]
+        self.path: Float32Array = newest[:, :2].astype(np.float32)
+        self.replica = TileReplica() if found.grid is None else TileReplica.of(found.grid)
+        self.end = Frame(self.path)
+        if history is not None:
+            pairs = history.shown_closures
+            ends = found.poses[pairs[pairs[:, 1] < len(found.poses)], :2]
+            self.end = Frame(self.path, closures=ends.reshape(-1, 4).astype(np.float32))
+        layers = {
+            "map": found.grid is not None,
+            "path": len(self.path) > 0,
+            "closures": not found.is_localization and history is not None,
+            "truth": len(found.truth) > 0,
+            "edits": is_editable,
+            **dict.fromkeys(("scan", "particles", "n_eff", "latency"), history is not None),
+        }
+        shown = tuple(name for name, is_shown in layers.items() if is_shown)
+        step = "update" if found.is_localization else "key scan"
+        self.run_info = {**make_run_info(found.title, "replay", shown, step, found.grid), "speed": speed}
 
-    def add_viewer(self, notify: Callable[[], None]) -> ReplayViewer:
-        """Add a viewer at the end of the run; `notify` is never called, as the content does not change."""
+    def add_viewer(self) -> ReplayViewer:
+        """Add a viewer at the end of the run."""
         return ReplayViewer(self)
 
 
@@ -89,110 +79,51 @@ class ReplayViewer:
     def __init__(self, replay: Replay) -> None:
         """Start at the end."""
         self._replay = replay
-        self._results = replay.results
         self._sent = SentState()
-        self._last = len(self._results.times_s) - 1
-        self._at = self._last
-        self._time_s = float(self._results.times_s[-1])
-        self._speed = replay.speed
-        self._played_until = 0.0
-        self._playing = False
-        self._reader = None if replay.history is None else PastReader(replay.history, replay.past_maps)
-        self._past: Past | None = None
-        self._look()
+        self._at = replay.last
+        self._reader = None if replay.found.history is None else PastReader(replay.found.history)
+        self._scene: Scene | None = None
 
     def next_message(self) -> bytes | None:
         """Return the next message for the viewer; None if there is nothing new."""
-        if self._playing:
-            self._play()
-        return self._sent.next_message(self._scene())
+        if self._scene is None:
+            self._scene = self._make_scene()
+        return self._sent.next_message(self._scene)
 
     def command(self, command: Mapping[str, Any]) -> None:
-        """Execute a command; raises ArgumentError, KeyError, TypeError or ValueError if it is invalid."""
-        match command["do"]:
-            case "pause":
-                self._playing = False
-            case "resume":
-                if self._at == self._last:
-                    self._seek(0)
-                self._playing = True
-                self._played_until = time.perf_counter()
-            case "step":
-                self._playing = False
-                self._seek(min(self._at + 1, self._last))
-            case "seek":
-                self._seek(min(max(int(command["at"]), 0), self._last))
-            case "speed":
-                self._speed = check_speed(command["factor"]) or self._speed
-            case what:
-                raise ArgumentError("do", "pause, resume, step, seek or speed", what)
+        """Show another step; raises ArgumentError, KeyError, TypeError or ValueError if the command is invalid."""
+        if command["do"] != "seek":
+            raise ArgumentError("do", "seek", command["do"])
+        self._at = min(max(int(command["at"]), 0), self._replay.last)
+        self._scene = None
 
     def close(self) -> None:
         """Do nothing: the replay keeps no list of viewers."""
 
-    def _play(self) -> None:
-        now = time.perf_counter()
-        self._time_s += (now - self._played_until) * self._speed
-        self._played_until = now
-        times = self._results.times_s
-        self._playing = self._time_s < times[-1]
-        self._time_s = min(self._time_s, float(times[-1]))
-        self._move_to(max(int(np.searchsorted(times, self._time_s, "right")) - 1, 0))
-
-    def _seek(self, at: int) -> None:
-        self._time_s = float(self._results.times_s[at])
-        self._played_until = time.perf_counter()
-        self._move_to(at)
-
-    def _move_to(self, at: int) -> None:
-        if at == self._at:
-            return
-        self._at = at
-        self._look()
-
-    def _look(self) -> None:
-        """Build the scene of a moment; of a map the final form at the end."""
-        at = self._at
-        self._frame = self._results.frame(at)
-        is_map = isinstance(self._results, MappedRun)
-        self._past = None
-        if self._reader is None or (is_map and at == self._last):
-            return
-        self._past = past = self._reader.read(int(self._replay.keys[at]), has_maps=is_map)
-        if past is None:
-            return
-        self._frame = past.frame if is_map else self._frame._replace(particles=past.frame.particles)
-
-    def _scene(self) -> Scene:
-        results = self._results
-        status = {
-            **results.status(self._at, self._time_s),
-            "at": self._at,
-            "last": self._last,
-            "time_s": self._time_s,
-            "total_s": float(results.times_s[-1]),
-            "speed": self._speed,
-        }
-        if self._playing:
-            status["stage"] = "looking" if status.get("looking") else "lost" if status.get("lost") else "running"
-        else:
-            status["stage"] = "finished" if self._at == self._last else "paused"
-        replica: TileReplica | PastReplica = self._replay.replica
-        past = self._past
-        if past is not None and self._reader is not None:
-            status["scan_pose"] = past.pose.tolist()
-            if isinstance(results, MappedRun):
-                replica = self._reader.replica
-                status |= {"past": True, "pose": past.pose.tolist()}
-        return Scene(
-            self._replay.run_info,
+    def _make_scene(self) -> Scene:
+        """Return the scene after a step; in the end the final map and path."""
+        replay, at = self._replay, self._at
+        found = replay.found
+        status: dict[str, Any] = {"stage": "finished", "at": at, "last": replay.last}
+        if found.history is not None:
+            total_s = float(replay.series[-1, 0])
+            status |= {**found.history.describe(at), "total_s": total_s, "pose": found.poses[-1].tolist()}
+        scene = Scene(
+            replay.run_info,
             status,
-            replica,
-            self._frame,
-            results.series,
-            NO_POINTS if past is None else past.scan,
-            plan=results.path,
-            landmarks=results.landmarks,
-            truth=self._replay.truth,
-            messages=self._replay.messages,
+            replay.replica,
+            replay.end,
+            replay.series,
+            plan=replay.path,
+            truth=found.truth,
+            messages=found.messages,
         )
+        past = None if self._reader is None or at == replay.last else self._reader.read(at + 1)
+        if past is None:
+            return scene
+        moment, frame = past
+        scan = moment.scan.astype(np.float32) * np.float32(SCAN_UNIT_M)
+        status |= {"past": True, "pose": moment.pose.tolist()}
+        assert self._reader is not None
+        replica = replay.replica if found.is_localization else self._reader.replica
+        return scene._replace(frame=frame, scan=scan, replica=replica)

@@ -12,18 +12,15 @@ from numpy.typing import NDArray
 
 from gridslam import __version__
 from gridslam.kernels import TILE
-from gridslam.live.ancestry_tree import NO_POINTS, NO_TREE, AncestryTree, Float32Array
-from gridslam.live.history import PastReplica, count_common
-from gridslam.live.protocol import STEP_NATS, encode, pack_tiles
+from gridslam.live.protocol import NO_POINTS, STEP_NATS, Float32Array, encode
 from gridslam.live.tiles import TileReplica, tile_offset
-from gridslam.types import OccupancyGrid
+from gridslam.types import FloatArray, OccupancyGrid
 
 _MAX_TILES = 1024
 MOST_MESSAGES = 100
 """Of a run that are shown: the newest ones."""
 NO_PARTICLES: Float32Array = np.zeros((0, 4), np.float32)
 NO_CLOSURES: Float32Array = np.zeros((0, 4), np.float32)
-NO_LANDMARKS: Float32Array = np.zeros((0, 5), np.float32)
 NO_SERIES: Float32Array = np.zeros((0, 5), np.float32)
 
 
@@ -35,21 +32,15 @@ class Frame(NamedTuple):
     ----------
     path : (T, 2) float32, m
         Positions of the shown trajectory in full, NaN where lost: the best particle's while a filter runs.
-    tree : AncestryTree
-        The differing paths of the particles, thinned.
     particles : (N, 4) float32
         x m, y m, theta rad, and weight.
     closures : (C, 4) float32, m
         End points x, y of each loop closure.
-    shared : int
-        Number of positions of `path`, from its first on, that all particles share; the tree begins at the last of them.
     """
 
     path: Float32Array = NO_POINTS
-    tree: AncestryTree = NO_TREE
     particles: Float32Array = NO_PARTICLES
     closures: Float32Array = NO_CLOSURES
-    shared: int = 0
 
 
 @final
@@ -73,8 +64,6 @@ class Scene(NamedTuple):
         End points of the current scan in the robot frame.
     plan : (P, 2) float32, m
         The future path of the robot; empty if unknown.
-    landmarks : (L, 5) float32
-        x m, y m, and covariance xx, xy, yy, m^2.
     truth : (P, 2) float32, m
         The true path of the robot; empty if unknown.
     messages : sequence of dict
@@ -83,12 +72,11 @@ class Scene(NamedTuple):
 
     run_info: dict[str, Any]
     status: dict[str, Any]
-    replica: TileReplica | PastReplica
+    replica: TileReplica
     frame: Frame
     series: Float32Array
     scan: Float32Array = NO_POINTS
     plan: Float32Array = NO_POINTS
-    landmarks: Float32Array = NO_LANDMARKS
     truth: Float32Array = NO_POINTS
     messages: Sequence[Mapping[str, Any]] = ()
 
@@ -124,49 +112,37 @@ def finite_or_none(value: float) -> float | None:
 class SentState:
     """The data that a viewer has received; `next_message` encodes the rest."""
 
-    __slots__ = ("_arrays", "_messages", "_numbers", "_replicas", "_rows", "_run_info", "_status")
-
     def __init__(self) -> None:
         """Start with a viewer that has received nothing."""
         self._reset()
 
     def _reset(self) -> None:
-        self._run_info: dict[str, Any] = {}
-        self._status: dict[str, Any] = {}
-        self._messages: Sequence[Mapping[str, Any]] = ()
-        self._replicas: dict[str, TileReplica | PastReplica] = {}
-        self._numbers: dict[str, int] = {}
+        self._values: dict[str, Any] = {}
+        self._replica: TileReplica | None = None
+        self._number = 0  # of the last of its changes
         self._rows = {"path": NO_POINTS, "series": NO_SERIES}
         self._arrays: dict[str, NDArray[Any]] = {}
 
     def next_message(self, scene: Scene) -> bytes | None:
         """Encode the missing part of a scene; None if nothing is missing. Many tiles take several messages."""
-        header: dict[str, Any] = {}
-        arrays: dict[str, NDArray[Any]] = {}
-        if self._run_info and scene.run_info["session"] != self._run_info["session"]:
+        if self._values and scene.run_info["session"] != self._values["run_info"]["session"]:
             self._reset()
-        if scene.run_info is not self._run_info:
-            header["run_info"] = self._run_info = scene.run_info
-        if scene.status != self._status:
-            header["status"] = self._status = scene.status
-        if scene.messages != self._messages:
-            header["messages"] = self._messages = scene.messages
-        self._add_tiles("", scene.replica, header, arrays)
+        values = {"run_info": scene.run_info, "status": scene.status, "messages": scene.messages}
+        header = {name: value for name, value in values.items() if value != self._values.get(name)}
+        arrays: dict[str, NDArray[Any]] = {}
+        self._values = values
+        self._add_tiles(scene.replica, header, arrays)
         self._add_rows("path", scene.frame.path, header, arrays)
         self._add_rows("series", scene.series, header, arrays)
-        positions, parents, leaves = scene.frame.tree
-        for parts in (
-            {"particles": scene.frame.particles},
-            {"closures": scene.frame.closures},
-            {"scan": scene.scan},
-            {"plan": scene.plan},
-            {"landmarks": scene.landmarks},
-            {"truth": scene.truth},
-            {"tree": positions, "tree_parents": parents, "tree_leaves": leaves},  # sent together
+        for name, array in (
+            ("particles", scene.frame.particles),
+            ("closures", scene.frame.closures),
+            ("scan", scene.scan),
+            ("plan", scene.plan),
+            ("truth", scene.truth),
         ):
-            if not all(name in self._arrays and _equal(self._arrays[name], array) for name, array in parts.items()):
-                self._arrays |= parts
-                arrays |= parts
+            if name not in self._arrays or not _equal(self._arrays[name], array):
+                self._arrays[name] = arrays[name] = array
         return encode(header, arrays) if header or arrays else None
 
     def _add_rows(self, name: str, rows: Float32Array, header: dict[str, Any], arrays: dict[str, NDArray[Any]]) -> None:
@@ -178,21 +154,25 @@ class SentState:
             arrays[name] = rows[first:]
             self._rows[name] = rows
 
-    def _add_tiles(
-        self, which: str, replica: TileReplica | PastReplica, header: dict[str, Any], arrays: dict[str, NDArray[Any]]
-    ) -> None:
-        """Add the changed tiles of a map, whose names begin with `which`."""
-        if replica is not self._replicas.get(which):
-            self._replicas[which] = replica
-            self._numbers[which] = 0
-            header[f"{which}clear"] = True
-        if replica.sequence > self._numbers[which]:
-            at, looks, number = replica.since(self._numbers[which], _MAX_TILES)
-            self._numbers[which] = number
-            arrays[f"{which}tiles_at"] = at
-            arrays[f"{which}tiles"] = pack_tiles(looks)
-            if replica.sequence > number:
+    def _add_tiles(self, replica: TileReplica, header: dict[str, Any], arrays: dict[str, NDArray[Any]]) -> None:
+        """Add the changed tiles of the map."""
+        if replica is not self._replica:
+            self._replica = replica
+            self._number = 0
+            header["clear"] = True
+        if replica.sequence > self._number:
+            arrays["tiles_at"], arrays["tiles"], self._number = replica.since(self._number, _MAX_TILES)
+            if replica.sequence > self._number:
                 header["more"] = True
+
+
+def count_common(a: FloatArray | Float32Array, b: FloatArray | Float32Array) -> int:
+    """Return how many rows, from the first on, are the same."""
+    count = min(len(a), len(b))
+    if a is b:
+        return count
+    same = ((a[:count] == b[:count]) | (np.isnan(a[:count]) & np.isnan(b[:count]))).all(axis=1)
+    return count if same.all() else int(np.argmin(same))
 
 
 def _equal(a: NDArray[Any], b: NDArray[Any]) -> bool:

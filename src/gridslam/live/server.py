@@ -1,37 +1,39 @@
-"""The web server of the page: the application, and the threads in which it and the page's content live."""
+"""The web server of the page: the application, and the thread in which it and the page's content live."""
 
 from __future__ import annotations
 
 import asyncio
 import errno
-import os
-import re
-import secrets
+import json
 import socket
 import threading
-from collections.abc import Callable, Sequence
-from concurrent.futures import Future, ThreadPoolExecutor
+from collections.abc import Awaitable, Callable, Mapping, Sequence
+from contextlib import suppress
 from pathlib import Path
 from typing import Any, Protocol, final
 
 import uvicorn
 from starlette.applications import Starlette
-from starlette.requests import HTTPConnection
-from starlette.responses import PlainTextResponse
+from starlette.middleware import Middleware
+from starlette.middleware.base import BaseHTTPMiddleware
+from starlette.middleware.trustedhost import TrustedHostMiddleware
+from starlette.requests import Request
+from starlette.responses import Response
 from starlette.routing import BaseRoute, Mount, WebSocketRoute
 from starlette.staticfiles import StaticFiles
-from starlette.types import ASGIApp, Message, Receive, Scope, Send
-from starlette.websockets import WebSocket
+from starlette.websockets import WebSocket, WebSocketDisconnect
 
-from gridslam.errors import OutputError
-from gridslam.live.access import is_authorized, is_foreign
-from gridslam.live.edits import EditsFile, make_edit_route
+from gridslam.errors import ArgumentError, OutputError
+from gridslam.live.edits import EditsFile, is_foreign, make_edit_route
 from gridslam.live.options import LiveOptions
-from gridslam.live.viewing import Viewer, ViewerLine, serve_viewer
+from gridslam.live.protocol import encode
 
-_BAD_TOKEN = 4401  # close codes of the socket
-_TOO_MANY = 4429
-_HOST = re.compile(r"(\[[0-9A-Fa-f:.]+\]|[\w.-]*)(?::\d{1,5})?", re.ASCII)
+_PERIOD_S = 0.1  # least time between two messages to a viewer
+_BYTES_PER_S = 1e6  # maximum rate for a viewer; a large message is followed by a longer pause
+_HEARTBEAT_S = 3.0  # maximum time between messages to a viewer, so that it does not time out
+_BAD_COMMAND = 4400  # close codes of the socket
+_FOREIGN = 4401
+_NOT_UNDERSTOOD = (ArgumentError, KeyError, TypeError, ValueError, OverflowError, RecursionError)
 _HERE = Path(__file__).parent / "static"
 _HEADERS = {
     "content-security-policy": "default-src 'self'; connect-src 'self' ws: wss:; img-src 'self' blob: data:; "
@@ -40,18 +42,28 @@ _HEADERS = {
     "referrer-policy": "no-referrer",
     "cache-control": "no-cache",
 }
-_TOKEN = "GRIDSLAM_LIVE_TOKEN"
-"""Environment variable with a token that remains valid after a restart."""
 _STOP_WITHIN_S = 5.0
-_MOST_VIEWERS = 20
 _MOST_CONNECTIONS = 100
 
 
-class PageContent(Protocol):
-    """Content of the page; used by one thread of the server only, which is not the one that answers requests."""
+class Viewer(Protocol):
+    """A viewer; used by the server's thread only."""
 
-    def add_viewer(self, notify: Callable[[], None]) -> Viewer:
-        """Add a viewer; `notify` is called whenever there may be something new."""
+    def next_message(self) -> bytes | None:
+        """Return the next message for the viewer; None if there is nothing new."""
+
+    def command(self, command: Mapping[str, Any]) -> None:
+        """Execute a command; raises ArgumentError, KeyError, TypeError or ValueError if it is invalid."""
+
+    def close(self) -> None:
+        """Remove the viewer."""
+
+
+class PageContent(Protocol):
+    """Content of the page; used by the server's thread only."""
+
+    def add_viewer(self) -> Viewer:
+        """Add a viewer."""
         ...
 
 
@@ -62,7 +74,7 @@ class PageServer:
     Parameters
     ----------
     content : PageContent
-        Content of the page; from now on only this server's thread for it may use it, see `call`.
+        Content of the page; from now on only this server's thread may use it, see `call`.
     options : LiveOptions
         Address of the page.
     edits : EditsFile, optional
@@ -76,12 +88,11 @@ class PageServer:
 
     def __init__(self, content: PageContent, options: LiveOptions, edits: EditsFile | None = None) -> None:
         """Create the server without listening."""
-        self._content_thread = ThreadPoolExecutor(1, "gridslam-live-content")
         self._options = options
-        self._token = None if options.is_local else os.environ.get(_TOKEN) or secrets.token_urlsafe(12)
-        routes = [] if edits is None else [make_edit_route(edits, self._token)]
+        routes = [] if edits is None else [make_edit_route(edits)]
+        names = ["127.0.0.1", "localhost", "::1", "[::1]", options.host] if options.is_local else ["*"]
         config = uvicorn.Config(
-            _make_application(content, options.host, self._token, self._content_thread, routes),
+            _make_application(content, names, routes),
             http="h11",
             ws="websockets-sansio",
             limit_concurrency=_MOST_CONNECTIONS,
@@ -111,7 +122,6 @@ class PageServer:
         """Close all connections."""
         self._server.should_exit = True
         self._thread.join(_STOP_WITHIN_S)
-        self._content_thread.shutdown(wait=False, cancel_futures=True)
 
     @property
     def url(self) -> str:
@@ -121,16 +131,14 @@ class PageServer:
         name, port = self._socket.getsockname()[:2]
         if name in ("0.0.0.0", "::"):
             name = socket.gethostname()
-        address = f"[{name}]" if ":" in name else name
-        return f"http://{address}:{port}/" + ("" if self._token is None else f"?token={self._token}")
+        return f"http://{f'[{name}]' if ':' in name else name}:{port}/"
 
-    def call(self, function: Callable[..., None], *arguments: object) -> bool:
-        """Schedule a call in the content's thread; thread-safe. Returns False if the server has stopped."""
-        if self._loop is None or self._loop.is_closed():
-            return False
+    def call(self, function: Callable[..., object], *arguments: object) -> bool:
+        """Schedule a call in the server's thread; thread-safe. Returns False if the server has stopped."""
         try:
-            self._content_thread.submit(function, *arguments).add_done_callback(_raise_again)
-        except RuntimeError:
+            assert self._loop is not None
+            self._loop.call_soon_threadsafe(function, *arguments)
+        except RuntimeError:  # the loop is closed
             return False
         return True
 
@@ -164,55 +172,65 @@ def _ignore_connections(loop: asyncio.AbstractEventLoop, context: dict[str, Any]
         loop.default_exception_handler(context)
 
 
-def _raise_again(call: Future[None]) -> None:
-    """Raise failures of the content's thread, so that they are reported."""
-    if not call.cancelled():
-        call.result()
+def _make_application(content: PageContent, names: list[str], routes: Sequence[BaseRoute]) -> Starlette:
+    """Return the page of a content, for requests to a host of these names, against DNS rebinding."""
 
+    async def add_headers(request: Request, proceed: Callable[[Request], Awaitable[Response]]) -> Response:
+        response = await proceed(request)
+        response.headers.update(_HEADERS)
+        return response
 
-def _make_application(
-    content: PageContent, host: str, token: str | None, thread: ThreadPoolExecutor, files: Sequence[BaseRoute]
-) -> ASGIApp:
-    """Return the page of a show, for everyone who has the token; without one for requests to this very host alone."""
-    joining = asyncio.Lock()
-    viewers = asyncio.BoundedSemaphore(_MOST_VIEWERS)
-
-    async def socket(websocket: WebSocket) -> None:
+    async def answer(websocket: WebSocket) -> None:
         await websocket.accept()
-        if is_foreign(websocket) or not is_authorized(websocket, token):
-            await websocket.close(_BAD_TOKEN, "this page needs the address with its token")
-        elif viewers.locked():
-            await websocket.close(_TOO_MANY, "too many look at this page")
+        if is_foreign(websocket):
+            await websocket.close(_FOREIGN, "this page is another one's")
         else:
-            async with viewers:
-                await serve_viewer(ViewerLine(websocket, content.add_viewer, thread, joining))
+            await _serve_viewer(websocket, content.add_viewer())
 
-    routes = [
-        WebSocketRoute("/socket", socket),
-        *files,
-        Mount("/", StaticFiles(directory=_HERE, html=True)),
-    ]
-    names = None if token is not None else {"127.0.0.1", "localhost", "::1", host}
-    return _guard(Starlette(routes=routes), names)
+    return Starlette(
+        routes=[WebSocketRoute("/socket", answer), *routes, Mount("/", StaticFiles(directory=_HERE, html=True))],
+        middleware=[
+            Middleware(TrustedHostMiddleware, allowed_hosts=names, www_redirect=False),
+            Middleware(BaseHTTPMiddleware, dispatch=add_headers),
+        ],
+    )
 
 
-def _guard(app: ASGIApp, names: set[str] | None) -> ASGIApp:
-    """Reject requests without a host or for another one, against DNS rebinding, and add security headers."""
+async def _serve_viewer(websocket: WebSocket, viewer: Viewer) -> None:
+    """Send messages to a viewer and execute its commands until it disconnects or is not understood."""
+    tasks = [asyncio.create_task(work(websocket, viewer)) for work in (_receive, _send)]
+    try:
+        done, _ = await asyncio.wait(tasks, return_when=asyncio.FIRST_COMPLETED)
+        await done.pop()
+    except _NOT_UNDERSTOOD as error:
+        reason = f"not understood: {error}".encode()[:100].decode(errors="ignore")  # a close frame holds little
+        with suppress(WebSocketDisconnect, RuntimeError):
+            await websocket.close(_BAD_COMMAND, reason)
+    except (WebSocketDisconnect, RuntimeError):
+        pass
+    finally:
+        for task in tasks:
+            task.cancel()
+        await asyncio.gather(*tasks, return_exceptions=True)
+        viewer.close()
 
-    async def guarded(scope: Scope, receive: Receive, send: Send) -> None:
-        async def with_headers(message: Message) -> None:
-            if message["type"] == "http.response.start":
-                message["headers"] += [(name.encode(), value.encode()) for name, value in _HEADERS.items()]
-            await send(message)
 
-        if scope["type"] in ("http", "websocket"):
-            host = _HOST.fullmatch(HTTPConnection(scope).headers.get("host", ""))
-            if host is None:
-                await PlainTextResponse("the header Host holds no name", 400)(scope, receive, send)
-                return
-            if names is not None and host[1].strip("[]").lower() not in names:
-                await PlainTextResponse("not served under this name", 421)(scope, receive, send)
-                return
-        await app(scope, receive, with_headers)
+async def _receive(websocket: WebSocket, viewer: Viewer) -> None:
+    """Execute commands, without end."""
+    while True:
+        viewer.command(json.loads(await websocket.receive_text()))
+        await asyncio.sleep(0)  # the others' turn
 
-    return guarded
+
+async def _send(websocket: WebSocket, viewer: Viewer) -> None:
+    """Send the data that the viewer lacks, or an empty heartbeat, without end."""
+    clock = asyncio.get_running_loop().time
+    sent_s = clock()
+    while True:
+        message = viewer.next_message()
+        if message is None and clock() - sent_s > _HEARTBEAT_S:
+            message = encode({}, {})
+        if message is not None:
+            await websocket.send_bytes(message)
+            sent_s = clock()
+        await asyncio.sleep(max(_PERIOD_S, len(message or b"") / _BYTES_PER_S))

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass
 from itertools import takewhile
-from typing import final
+from typing import TypeAlias, final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,11 +13,14 @@ from numpy.typing import NDArray
 from gridslam.grid.cells import LOG_ODDS_UNIT
 from gridslam.grid.tiles import TileMaps
 from gridslam.kernels import TILE, UNKNOWN
-from gridslam.live.protocol import levels
+from gridslam.live.protocol import levels, pack_tiles
 from gridslam.types import Int32Array, IntArray, OccupancyGrid
 
-_UNKNOWN_TILE: NDArray[np.int16] = np.full((TILE, TILE), UNKNOWN, np.int16)
-_UNKNOWN_LEVELS: NDArray[np.uint8] = np.zeros((TILE, TILE), np.uint8)
+PackedTiles: TypeAlias = dict[tuple[int, int], bytes]
+"""Levels of tiles by row and column, as `gridslam.live.protocol.pack_tiles` packs them."""
+
+TILE_BYTES = TILE * TILE // 2
+_UNKNOWN_TILE = bytes(TILE_BYTES)
 
 
 @final
@@ -86,13 +90,13 @@ def _align(*tables: tuple[Int32Array, tuple[int, int]]) -> tuple[Int32Array, Int
 
 @final
 class TileReplica:
-    """A copy of one map, built from its changes; each visible change of a tile gets the next sequence number."""
+    """A map as it is shown, in packed levels; each visible change of a tile gets the next sequence number."""
 
-    __slots__ = ("_levels", "_numbers", "sequence")
+    __slots__ = ("_numbers", "_tiles", "sequence")
 
     def __init__(self) -> None:
         """Start with an empty map."""
-        self._levels: dict[tuple[int, int], NDArray[np.uint8]] = {}  # of visible tiles, by row and column
+        self._tiles: PackedTiles = {}
         self._numbers: dict[tuple[int, int], int] = {}  # in ascending order
         self.sequence = 0
 
@@ -105,31 +109,33 @@ class TileReplica:
 
     def apply(self, changes: TileChanges) -> None:
         """Apply changed tiles; those without a visible change get no new number."""
-        looks = levels(changes.log_odds)
-        for (row, column), look in zip(changes.at.tolist(), looks, strict=True):
-            if not np.array_equal(look, self._levels.get((row, column), _UNKNOWN_LEVELS)):
-                self._levels[row, column] = look.copy()
-                self.sequence += 1
-                self._numbers.pop((row, column), None)
-                self._numbers[row, column] = self.sequence
+        packed = pack_tiles(levels(changes.log_odds))
+        at = map(tuple, changes.at.tolist())
+        self._put(zip(at, map(np.ndarray.tobytes, packed), strict=True))
 
-    def replace(self, changes: TileChanges) -> None:
+    def replace(self, tiles: PackedTiles) -> None:
         """Replace the whole map by these tiles."""
-        gone = list(self._levels.keys() - set(map(tuple, changes.at.tolist())))
-        unknown = np.broadcast_to(_UNKNOWN_TILE, (len(gone), TILE, TILE))
-        self.apply(TileChanges(np.array(gone, np.int32).reshape(-1, 2), unknown))
-        self.apply(changes)
+        self._put((at, _UNKNOWN_TILE) for at in self._tiles.keys() - tiles.keys())
+        self._put(tiles.items())
 
     def since(self, number: int, most: int) -> tuple[Int32Array, NDArray[np.uint8], int]:
-        """Return rows and columns (K, 2), levels (K, 32, 32) and last number of the next `most` tiles after a number.
+        """Return rows and columns (K, 2), packed levels (K, 512) and last number of the next `most` tiles after one.
 
         Tiles have their current levels; all tiles up to `sequence` are the whole map.
         """
         newer = [*takewhile(lambda item: item[1] > number, reversed(self._numbers.items()))][::-1]
         last = newer[most - 1][1] if len(newer) > most else self.sequence
         at = [at for at, _ in newer[:most]]
-        looks = np.array([self._levels[one] for one in at], np.uint8).reshape(-1, TILE, TILE)
-        return np.array(at, np.int32).reshape(-1, 2), looks, last
+        packed = np.frombuffer(b"".join(self._tiles[one] for one in at), np.uint8)
+        return np.array(at, np.int32).reshape(-1, 2), packed.reshape(-1, TILE_BYTES), last
+
+    def _put(self, tiles: Iterable[tuple[tuple[int, int], bytes]]) -> None:
+        for at, packed in tiles:
+            if self._tiles.get(at, _UNKNOWN_TILE) != packed:
+                self._tiles[at] = packed
+                self.sequence += 1
+                self._numbers.pop(at, None)
+                self._numbers[at] = self.sequence
 
 
 def tile_offset(grid: OccupancyGrid) -> tuple[float, float]:

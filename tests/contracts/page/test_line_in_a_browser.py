@@ -1,4 +1,4 @@
-"""The page and its line, in a real browser: lost and back, a server's restart, the token, and a robot's page."""
+"""The page and its line, in a real browser: lost and back, a server's restart, and a robot's page."""
 
 import time
 from dataclasses import replace
@@ -15,7 +15,7 @@ from support.loops import PROVOKED
 
 
 def port_of(page):
-    return int(page.url.partition("/?")[0].rstrip("/").rpartition(":")[2])
+    return int(page.url.rstrip("/").rpartition(":")[2])
 
 
 def test_a_restart_of_the_server_is_outlived(browser, drive, screenshot):
@@ -37,7 +37,6 @@ def test_a_restart_of_the_server_is_outlived(browser, drive, screenshot):
 
 
 def test_a_line_that_is_lost_comes_back_to_the_same_run(browser, drive, screenshot):
-    """Meanwhile the run has gone on; a chosen particle is the best one again."""
     with LivePage("loop.clf", LiveOptions(port=0), range_max_m=30.0) as page:
         cable = Cable(port_of(page))
         browser.get(f"http://127.0.0.1:{cable.port}/")
@@ -46,7 +45,6 @@ def test_a_line_that_is_lost_comes_back_to_the_same_run(browser, drive, screensh
         had = {key: told(browser)[key] for key in ("session", "keys", "tiles")}
         cable.cut()
         wait(lambda: told(browser)["stage"] == "offline", "the page notices")
-        assert not browser.find_element("id", "pause").is_enabled()
         wait(lambda: page.viewers == 0, "so does the server")
         cable.mend()
         wait(lambda: told(browser)["stage"] != "offline", "the page is back by itself")
@@ -70,46 +68,16 @@ def test_a_line_that_dies_without_a_word_is_given_up(browser, drive):
         cable.close()
 
 
-def test_a_pause_ends_with_the_line_and_comes_back_with_it(browser):
-    with LivePage("loop.clf", LiveOptions(port=0), range_max_m=30.0) as page:
-        cable = Cable(port_of(page))
-        browser.get(f"http://127.0.0.1:{cable.port}/")
-        wait(lambda: told(browser).get("stage") == "waiting", "the page is connected")
-        for is_paused in (True, False):
-            click(browser, "pause")
-            stage = "paused" if is_paused else "waiting"
-            wait(lambda stage=stage: told(browser)["stage"] == stage, stage)
-            cable.cut()
-            wait(lambda: page.viewers == 0, "the server notices")
-            wait(lambda: not page.control.paused, "the pause ends")
-            cable.mend()
-            wait(lambda stage=stage: told(browser)["stage"] == stage, f"{stage} again")
-            assert page.control.paused == is_paused
-        cable.close()
-
-
-def test_a_page_that_is_open_to_others_wants_its_token(browser, drive, screenshot):
-    with LivePage("loop.clf", LiveOptions(host="0.0.0.0", port=0), range_max_m=30.0) as page:
-        here, token = f"http://127.0.0.1:{port_of(page)}/", page.url.partition("?")[2]
-        Mapping(page, drive[:40]).join(PATIENCE_S)
-        browser.get(here)
-        wait(lambda: "needs the address with its token" in text(browser, "#notice"), "what is wrong")
-        assert told(browser).get("tiles", "0") == "0"
-        screenshot("without")
-        browser.get(f"{here}?{token}")
-        wait(lambda: int(told(browser).get("tiles", "0")) > 0, "the map")
-
-
 def test_a_robot_is_not_held_up_and_what_is_wrong_is_read(browser, drive, screenshot):
     from selenium.webdriver import Keys
 
-    with LivePage("ROS 1", LiveOptions(port=0), range_max_m=30.0, is_robot=True) as page:
+    with LivePage("ROS 1", LiveOptions(port=0), range_max_m=30.0) as page:
         browser.get(page.url)
         wait(lambda: told(browser).get("stage") == "waiting", "the page is connected")
 
         def mapped(part):
             rng, observers = np.random.default_rng(1), [page.observer]
-            run(page.follow_session(part), build(replace(PROVOKED, particles=8)), rng=rng, observers=observers)
+            run(page.follow(part), build(replace(PROVOKED, particles=8)), rng=rng, observers=observers)
             page.show_state("running", "mapping")
 
         messages = Messages(lambda level, text: None)
@@ -132,12 +100,8 @@ def test_a_robot_is_not_held_up_and_what_is_wrong_is_read(browser, drive, screen
         browser.find_element("css selector", "#notice button").click()
         wait(lambda: not shown(browser, "notice"), "it is put away")
         buttons = "pause", "step", "speed", "line", "follow"
-        assert [name for name in buttons if shown(browser, name)] == ["line", "follow"]
-        browser.find_element("tag name", "body").send_keys(".")  # the key for a step does nothing
-        browser.find_element("tag name", "body").send_keys(Keys.HOME)
-        wait(lambda: told(browser)["at"] == "0", "the first key scan")
-        browser.find_element("tag name", "body").send_keys(Keys.END)
-        wait(lambda: told(browser)["at"] == "", "the present")
+        assert [name for name in buttons if shown(browser, name)] == ["follow"]
+        browser.find_element("tag name", "body").send_keys(".", Keys.HOME)  # the keys of a time line do nothing
         mapped(drive[60:64])
         wait(lambda: told(browser)["session"] != session, "another session")
         wait(lambda: int(told(browser)["tiles"]) > 0, "its map")
@@ -147,7 +111,7 @@ def test_a_robot_is_not_held_up_and_what_is_wrong_is_read(browser, drive, screen
 def test_what_was_put_away_stays_so_however_often_it_comes(browser):
     """After a reload, too; another message is shown."""
     messages = Messages(lambda level, text: None)
-    with LivePage("ROS 1", LiveOptions(port=0), is_robot=True) as page:
+    with LivePage("ROS 1", LiveOptions(port=0)) as page:
         for _ in range(2):
             messages("two transforms", "odom is published twice")
             page.show_messages(messages.to_list())
@@ -176,7 +140,7 @@ def test_a_long_list_of_messages_is_scrolled_by_keys(browser):
     messages = Messages(lambda level, text: None)
     for letter in "abcdefghijklmnopqrstuvwxyz":
         messages(f"problem {letter}", "a sentence about it")
-    with LivePage("ROS 1", LiveOptions(port=0), is_robot=True) as page:
+    with LivePage("ROS 1", LiveOptions(port=0)) as page:
         page.show_messages(messages.to_list())
         browser.get(page.url)
         wait(lambda: shown(browser, "messages"), "the list")

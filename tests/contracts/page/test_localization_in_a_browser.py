@@ -3,22 +3,18 @@
 import json
 import threading
 
-import numpy as np
 import pytest
 
 from gridslam.api.localization import localize
 from gridslam.io.carmen.writer import write_carmen
-from gridslam.io.landmarks import write_landmarks
 from gridslam.io.maps import write_map
-from gridslam.io.trajectories import write_trajectory_csv, write_tum
+from gridslam.io.trajectories import write_tum
 from gridslam.live.options import LiveOptions
 from gridslam.live.page import LivePage
 from gridslam.live.replay import Replay
 from gridslam.live.server import PageServer
 from gridslam.sim import OdometryNoise
-from gridslam.slam.landmarks.report import LandmarkMap
 from support.browsing import PATIENCE_S, click, pixels_of, text, told, wait
-from support.landmark_world import ring
 from support.localization_world import drive as flat_drive
 from support.localization_world import flat_map
 from support.loops import PROVOKED
@@ -38,25 +34,20 @@ def place(tmp_path_factory):
 
 def test_particles_are_seen_to_converge(browser, place, screenshot):
     grid = flat_map()
-    with LivePage("flat.clf", LiveOptions(port=0), range_max_m=30.0, known=grid) as page:
+    with LivePage("flat.clf", LiveOptions(port=0, speed=5.0), range_max_m=30.0, known=grid) as page:
         browser.get(page.url)
         wait(lambda: int(told(browser).get("tiles", "0")) > 10, "the map is there before the first scan")
-        page.control.step(to_key_scan=True)
         given = {"seed": 2, "observers": [page.observer], "gate": page.pace}
         found = threading.Thread(target=localize, args=(place / "flat.clf", grid), kwargs=given)
         found.start()
-        wait(lambda: told(browser).get("keys") == "1", "an update")
-        assert "elsewhere" not in text(browser, "#stage")
+        wait(lambda: told(browser)["stage"] == "looking", "an update")
         screenshot("lost")
         wait(lambda: pixels_of(browser, "particle"), "the cloud is everywhere")
-        page.control.set_speed(5.0)
-        click(browser, "pause")
         wait(lambda: told(browser)["stage"] == "running", "it is found")
         screenshot("found")
         wait(lambda: pixels_of(browser, "particle"), "the cloud is where the robot is")
-        assert not browser.find_elements("css selector", "#layers label:not([hidden]) [name=ancestry]")
         assert text(browser, "[data-value=lost_probability]").endswith(" %")
-        page.control.end()
+        page.observer.speed = None
         found.join(PATIENCE_S)
         wait(lambda: told(browser)["stage"] == "writing", "the end")
         wait(lambda: pixels_of(browser, "path") > 100, "the way")
@@ -66,21 +57,6 @@ def test_particles_are_seen_to_converge(browser, place, screenshot):
 def seek(browser, at):
     script = "arguments[0].value = arguments[1]; arguments[0].dispatchEvent(new Event('input'))"
     browser.execute_script(script, browser.find_element("id", "line"), at)
-
-
-def test_landmarks_are_seen_with_the_way(browser, place, tmp_path, screenshot):
-    log = flat_drive(1)
-    spread = np.tile([[0.04, 0.01], [0.01, 0.09]], (6, 1, 1))
-    found = LandmarkMap(np.arange(6), ring(6), spread, np.ones(6, np.int64))
-    write_landmarks(tmp_path / "landmarks.csv", found)
-    covariances = np.tile(np.diag([0.04, 0.01, 0.001]), (len(log.truth), 1, 1))
-    write_trajectory_csv(tmp_path / "trajectory.csv", log.truth, covariances)
-    (tmp_path / "run.json").write_text('{"schema": "gridslam.landmarks/2", "input": {"path": "park.txt"}}')
-    with PageServer(Replay(tmp_path), LiveOptions(port=0)) as page:
-        browser.get(page.url)
-        wait(lambda: pixels_of(browser, "landmark") > 6 * 30, "six squares")
-        assert "6 landmarks" in text(browser, "#summary")
-        screenshot("way")
 
 
 def test_a_mapped_run_has_a_time_line(browser, drive, tmp_path, screenshot):

@@ -1,7 +1,6 @@
-"""A map that grows, in a real browser: paused, stepped, moved by hands, saved, and seen by several."""
+"""A map that grows, in a real browser: watched, moved by hands, and seen by several."""
 
 import threading
-import time
 
 import numpy as np
 import pytest
@@ -24,7 +23,7 @@ from support.browsing import (
 )
 
 
-def test_the_map_grows_is_paused_stepped_and_finished(browser, drive, screenshot):
+def test_the_map_grows_and_is_finished(browser, drive, screenshot):
     with LivePage("loop.clf", LiveOptions(port=0, speed=4.0), range_max_m=30.0) as page:
         browser.get(page.url)
         wait(lambda: told(browser).get("stage") == "waiting", "the page is connected")
@@ -36,22 +35,6 @@ def test_the_map_grows_is_paused_stepped_and_finished(browser, drive, screenshot
         wait(lambda: pixels_of(browser, "scan") > 20, "the scan is seen")
         wait(lambda: pixels_of(browser, "path") > 20, "the way is seen")
         screenshot("running")
-        click(browser, "pause")
-        wait(lambda: told(browser)["stage"] == "paused", "paused")
-        time.sleep(0.5)  # the scan that is being mapped comes yet
-        keys = told(browser)["keys"]
-        time.sleep(0.5)
-        assert told(browser)["keys"] == keys
-        click(browser, "step")
-        wait(lambda: int(told(browser)["keys"]) == int(keys) + 1, "one key scan more")
-        assert told(browser)["stage"] == "paused"
-        screenshot("paused")
-        speed = browser.find_element("id", "speed")
-        speed.find_element("css selector", "option[value='2']").click()
-        wait(lambda: page.control.speed == 2.0, "the page sets the speed")
-        speed.find_element("css selector", "option[value='']").click()
-        wait(lambda: page.control.speed is None, "as fast as can be")
-        click(browser, "pause")
         wait(lambda: told(browser)["stage"] == "final refinement", "the last scan")
         assert "loop closure" in text(browser, "#summary")
         wait(lambda: pixels_of(browser, "closure") > 5, "the loop closure is seen")
@@ -63,26 +46,6 @@ def test_the_map_grows_is_paused_stepped_and_finished(browser, drive, screenshot
         threading.Thread(target=page.serve_until_left, daemon=True).start()
         wait(lambda: told(browser)["stage"] == "finished", "done")
         screenshot("done")
-
-
-def test_a_particle_is_picked_and_its_map_is_seen(browser, drive, screenshot):
-
-    with LivePage("loop.clf", LiveOptions(port=0), range_max_m=30.0) as page:
-        browser.get(page.url)
-        wait(lambda: told(browser).get("stage") == "waiting", "the page is connected")
-        page.control.step(to_key_scan=True)
-        mapping = Mapping(page, drive[:80])
-        for _ in range(12):
-            keys = wait(lambda: told(browser).get("keys", "0"), "key scans")
-            page.control.step(to_key_scan=True)
-            wait(lambda keys=keys: told(browser)["keys"] != keys, "a key scan")
-        for _ in range(7):
-            browser.find_element("tag name", "body").send_keys("+")
-        click(browser, "follow")
-        time.sleep(1.0)  # the camera gets there
-        screenshot("near")
-        page.control.resume()
-        mapping.join(PATIENCE_S)
 
 
 def test_hands_move_the_map(browser, drive):
@@ -118,59 +81,3 @@ def test_hands_move_the_map(browser, drive):
         for layer in browser.find_elements("css selector", "#layers label:not([hidden])"):
             layer.click()
         wait(lambda: colours(browser) < drawn / 2, "nothing but the robot is shown")
-
-
-def test_several_look_at_one_run_each_as_it_likes(browser, drive):
-    """One pauses, and all see it; one looks back, and the others do not."""
-    from selenium.webdriver import ActionChains, Keys
-
-    with LivePage("loop.clf", LiveOptions(port=0, speed=5.0), range_max_m=30.0) as page:
-        browser.get(page.url)
-        first = browser.current_window_handle
-        mapping = Mapping(page, drive)
-        wait(lambda: int(told(browser).get("keys", "0")) > 3, "key scans")
-        browser.switch_to.new_window("tab")
-        browser.get(page.url)
-        wait(lambda: int(told(browser).get("keys", "0")) > 3, "all that was before")
-        wait(lambda: page.viewers == 2, "two look")
-        click(browser, "pause")
-        wait(lambda: told(browser)["stage"] == "paused", "paused")
-        ActionChains(browser).send_keys(Keys.HOME).perform()
-        wait(lambda: told(browser)["at"] == "0", "one looks at the beginning")
-        second = browser.current_window_handle
-        browser.switch_to.window(first)
-        wait(lambda: told(browser)["stage"] == "paused", "paused for the other, too")
-        assert told(browser)["at"] == ""
-        click(browser, "pause")
-        wait(lambda: told(browser)["stage"] == "running", "anyone ends a pause")
-        browser.switch_to.window(second)
-        browser.close()
-        browser.switch_to.window(first)
-        wait(lambda: page.viewers == 1, "one has gone")
-        page.control.end()
-        mapping.join(PATIENCE_S)
-
-
-def test_the_past_of_a_running_filter(browser, drive, screenshot):
-    """The time line goes back, and to the present again."""
-    from selenium.webdriver import ActionChains, Keys
-
-    with LivePage("loop.clf", LiveOptions(port=0), range_max_m=30.0) as page:
-        browser.get(page.url)
-        Mapping(page, drive[:150]).join(PATIENCE_S)
-        wait_for_all(browser)
-        tiles = int(told(browser)["tiles"])
-        keys = int(told(browser)["keys"])
-        ActionChains(browser).send_keys(Keys.HOME).perform()
-        wait(lambda: told(browser)["at"] == "0", "the beginning")
-        wait(lambda: int(told(browser)["tiles"]) < tiles, "the map was smaller")
-        assert "as it was" in text(browser, "#stage")
-        screenshot("beginning")
-        ActionChains(browser).send_keys(Keys.ARROW_RIGHT, Keys.ARROW_RIGHT).perform()
-        wait(lambda: told(browser)["at"] == "2", "two key scans on")
-        browser.find_element("id", "n_eff").click()
-        wait(lambda: 0.2 * keys < int(told(browser)["at"] or 0) < 0.8 * keys, "where the chart was clicked")
-        screenshot("middle")
-        ActionChains(browser).send_keys(Keys.END).perform()
-        wait(lambda: told(browser)["at"] == "", "the present")
-        wait(lambda: int(told(browser)["tiles"]) == tiles, "all of the map")

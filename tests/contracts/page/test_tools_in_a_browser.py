@@ -106,7 +106,7 @@ def test_a_key_right_after_a_click_means_the_page(page):
 
 
 def test_steps_add_up_however_late_the_answers_come(page):
-    """An older moment that arrives between two keys moves nothing back, nor does the last wish hold the time line."""
+    """An older moment that arrives between two keys moves nothing back."""
     from selenium.webdriver import ActionChains, Keys
 
     press(page, Keys.HOME)
@@ -122,8 +122,17 @@ def test_steps_add_up_however_late_the_answers_come(page):
     keys.perform()
     assert at(page) == 8
     wait(lambda: told(page)["at"] == "8", "eight steps on")
-    press(page, " ")
-    wait(lambda: at(page) > 8, "the time line plays on")
+
+
+def test_speeds_are_in_order_whatever_the_first_one_was(browser, out):
+    with PageServer(Replay(out, 20.0), LiveOptions(port=0)) as server:
+        browser.get(server.url)
+        wait(lambda: told(browser).get("tiles", "0") != "0", "the map")
+        values = browser.execute_script(
+            "return [...document.querySelectorAll('#speed option')].map((one) => one.value)"
+        )
+        assert values == ["0.25", "0.5", "1", "2", "5", "10", "20", "30", "100"]
+        assert browser.find_element("id", "speed").get_property("value") == "20"
 
 
 def test_all_keys_are_listed(page, screenshot):

@@ -16,7 +16,7 @@ from gridslam.live.replay import Replay
 from support.loops import PROVOKED, loop_drive
 
 SECRET = b"the content of another file"
-READ = "run.json", "graph.g2o", "trajectory.tum", "map.yaml", "map.pgm"
+READ = "run.json", "graph.g2o", "map.yaml", "map.pgm"
 OPTIONAL = "history.npz", "truth.tum"
 
 

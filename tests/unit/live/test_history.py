@@ -7,7 +7,7 @@ import pytest
 
 from gridslam.config import build, override
 from gridslam.errors import InputError
-from gridslam.live.history import History, PastMaps, PastReplica
+from gridslam.live.history import History, PastReader
 from gridslam.live.history_file import read_history, write_history
 from gridslam.live.history_recorder import HistoryRecorder
 from gridslam.live.tiles import TileReplica, split_into_tiles
@@ -34,13 +34,21 @@ def drive():
     return loop_drive().measurements
 
 
+def begin(recorder, most, source):
+    """Record every key scan at first."""
+    for number, measurement in enumerate(source):
+        if number == 0:
+            recorder.history = History(most, 1)
+        yield measurement
+
+
 def record(drive, *most):
     """Recorders, and of each key scan the map, the path and the pose as they were; the past is corrected."""
     recorders, seen = [HistoryRecorder(30.0) for _ in most], []
     source = drive
     for recorder, count in zip(recorders, most, strict=True):
-        recorder.history = History(count)
         source = recorder.follow(source)
+        source = begin(recorder, count, source)
 
     def note(report, state, seconds):
         if report.skipped is None:
@@ -67,14 +75,15 @@ def test_every_moment_is_as_it_was(recorded, most):
     assert any(corrected for *_, corrected in seen), "the drive was to correct the past"
     assert len(history.moments) < (most if most > 40 else 40 * np.log2(len(seen) / 20 + 1))
     assert (history.interval > 1) == (most == 40)
-    maps, replica = PastMaps(history), PastReplica()
+    reader = PastReader(history)
     rng = np.random.default_rng(5)
     for index in [0, 1, len(history.moments) - 1, *rng.integers(0, len(history.moments), 25)]:
         moment = history.moments[index]
         tiles, path, pose, _ = seen[moment.keys - 1]
-        replica.show(maps.at(index))
-        assert looks(replica) == tiles
-        assert history.path(index) == pytest.approx(path, abs=1e-5)
+        found, frame = reader.read(moment.keys)
+        assert found is moment
+        assert looks(reader.replica) == tiles
+        assert frame.path == pytest.approx(path, abs=1e-5)
         assert moment.pose == pytest.approx(pose)
         assert len(moment.scan) > 20
         assert history.find(moment.keys) == index

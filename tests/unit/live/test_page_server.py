@@ -1,7 +1,5 @@
 """The server: several viewers, a lost connection that comes back, a restart, and who is let in."""
 
-import json
-import threading
 import time
 import urllib.error
 import urllib.request
@@ -15,11 +13,9 @@ from websockets.sync.client import connect
 
 from gridslam.config import build
 from gridslam.errors import OutputError
-from gridslam.live import server as server_module
-from gridslam.live import viewing as viewing_module
 from gridslam.live.options import LiveOptions
 from gridslam.live.page import LivePage
-from gridslam.pipeline import Stopwatch, run
+from gridslam.pipeline import run
 from support.loops import PROVOKED, loop_drive
 from support.page_client import PageClient
 
@@ -34,15 +30,12 @@ def drive():
 @contextmanager
 def viewing(url, **options):
     """A connection and what came by it so far."""
-    address, _, query = url.partition("?")
-    target = f"{address.replace('http', 'ws', 1)}socket" + (f"?{query}" if query else "")
-    with connect(target, max_size=None, compression=None, **options) as socket:
+    with connect(f"{url.replace('http', 'ws', 1)}socket", max_size=None, compression=None, **options) as socket:
         yield socket, PageClient()
 
 
 def receive(socket, client, timeout_s=5.0):
     client.receive(socket.recv(timeout_s))
-    socket.send(json.dumps({"do": "ack"}))
 
 
 def receive_until(socket, client, condition, timeout_s=10.0):
@@ -76,27 +69,8 @@ def test_several_viewers_get_the_whole_map_whenever_they_come(drive):
             receive_until(other_socket, other, lambda: other.sees(grid))
             assert other.status["scans"] == 120
             assert page.viewers == 2
-            receive_until(socket, client, lambda: client.status["viewers"] == 2)
         assert client.status["particles"] == 4
         assert client.status["stage"] == "final refinement"
-
-
-def test_pause_and_step_hold_the_filter_and_its_stopwatch(drive):
-    watch = Stopwatch()
-    with LivePage("loop", FREE, range_max_m=30.0) as page, viewing(page.url) as (socket, client):
-        socket.send(json.dumps({"do": "pause"}))
-        receive_until(socket, client, lambda: client.status.get("stage") == "paused")
-        thread = threading.Thread(target=mapped, args=(page, drive[:30], watch))
-        thread.start()
-        for scans in (1, 2, 3):
-            socket.send(json.dumps({"do": "step", "to_key_scan": False}))
-            receive_until(socket, client, lambda scans=scans: client.status.get("scans") == scans)
-            assert client.status["stage"] == "paused"
-        time.sleep(0.3)
-        socket.send(json.dumps({"do": "resume"}))
-        thread.join(10)
-        assert not thread.is_alive()
-    assert watch.stages["read"][0] < 0.3, "a pause counted as reading"
 
 
 def test_the_page_needs_nothing_from_elsewhere():
@@ -123,7 +97,7 @@ def status_of(url, **headers):
 def test_pages_of_other_sites_are_not_let_in():
     with LivePage("loop", FREE) as page:
         port = page.url.rstrip("/").rpartition(":")[2]
-        assert status_of(page.url, Host="evil.example") == 421
+        assert status_of(page.url, Host="evil.example") == 400
         assert status_of(page.url, Host=f"localhost:{port}") == 200
         with viewing(page.url, origin="http://evil.example") as (socket, _), pytest.raises(ConnectionClosed) as closed:
             socket.recv(5)
@@ -153,21 +127,12 @@ def test_an_origin_that_is_not_the_page_is_not_let_in(origin):
         assert closed.value.rcvd.code == 4401
 
 
-def test_other_hosts_need_the_token(monkeypatch):
-    monkeypatch.setenv("GRIDSLAM_LIVE_TOKEN", "secret")
+def test_a_page_that_is_open_to_others_is_shown_to_whoever_comes():
     with LivePage("loop", LiveOptions(host="0.0.0.0", port=0)) as page:
-        assert page.url.endswith("/?token=secret")
-        port = page.url.partition("/?")[0].rpartition(":")[2]
-        here = f"http://127.0.0.1:{port}/"
-        for query in ("", "?token=wrong"):
-            with viewing(here + query) as (socket, _), pytest.raises(ConnectionClosed) as closed:
-                socket.recv(5)
-            assert closed.value.rcvd.code == 4401
-        with viewing(here + "?token=secret") as (socket, client):
+        port = page.url.rstrip("/").rpartition(":")[2]
+        with viewing(f"http://127.0.0.1:{port}/") as (socket, client):
             receive(socket, client)
-    monkeypatch.delenv("GRIDSLAM_LIVE_TOKEN")
-    with LivePage("loop", LiveOptions(host="0.0.0.0", port=0)) as page:
-        assert len(page.url.partition("token=")[2]) >= 16
+        assert status_of(f"http://127.0.0.1:{port}/", Host="robot.local") == 200
 
 
 NONSENSE = [
@@ -180,9 +145,9 @@ NONSENSE = [
     '{"do": "' + "\u00e9" * 200 + '"}',
     "[" * 60_000,
     b"\x00\xff",
-    '{"do": "speed"}',
-    '{"do": "speed", "factor": "fast"}',
-    '{"do": "speed", "factor": NaN}',
+    '{"do": "seek"}',
+    '{"do": "seek", "at": "first"}',
+    '{"do": "seek", "at": NaN}',
     '{"do": {}}',
     '{"do": "seek", "at": 1e999}',
 ]
@@ -197,26 +162,8 @@ def test_a_viewer_that_says_nonsense_is_told_so_and_the_others_stay(text):
             with pytest.raises(ConnectionClosed) as closed:
                 drain(other)
             assert closed.value.rcvd.code == 4400
-        receive_until(socket, client, lambda: client.status["viewers"] == 1)
-
-
-def test_who_does_not_confirm_gets_no_more(drive, monkeypatch):
-    """A slow line must not be filled with what is old when it arrives."""
-    monkeypatch.setattr(viewing_module, "_PERIOD_S", 0.001)
-    with LivePage("loop", FREE, range_max_m=30.0) as page, viewing(page.url) as (socket, client):
-        page.wait_for_viewer(5)
-        page.observer.period_s = 0.0
-        state = mapped(page, drive)
-        got = 0
-        while True:
-            try:
-                client.receive(socket.recv(0.3))
-                got += 1
-            except TimeoutError:
-                break
-        assert got <= 2
-        socket.send(json.dumps({"do": "ack"}))
-        receive_until(socket, client, lambda: client.sees(state.maps.occupancy(state.best)))
+        receive(socket, client)  # a heartbeat
+        assert page.viewers == 1
 
 
 def test_a_port_that_is_taken_is_told_with_the_remedy():
@@ -229,12 +176,3 @@ def test_a_port_that_is_taken_is_told_with_the_remedy():
 def test_an_address_of_another_machine_is_refused():
     with pytest.raises(OutputError, match=r"cannot listen at 192\.0\.2\.1"):
         LivePage("one", LiveOptions(host="192.0.2.1", port=0)).__enter__()
-
-
-def test_who_comes_when_too_many_look_is_told_so(monkeypatch):
-    monkeypatch.setattr(server_module, "_MOST_VIEWERS", 1)
-    with LivePage("loop", FREE) as page, viewing(page.url) as (socket, client):
-        receive(socket, client)
-        with viewing(page.url) as (other, _), pytest.raises(ConnectionClosed) as closed:
-            drain(other)
-        assert closed.value.rcvd.code == 4429

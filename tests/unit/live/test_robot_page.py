@@ -31,13 +31,12 @@ def mapped(source, observe):
 
 def test_a_robot_tells_its_state_and_is_not_held_back(drive):
     seen = PageClient()
-    with LivePage("robot", LiveOptions(port=0), is_robot=True) as page:
-        mapped(page.follow_session(drive[:10]), page.observer)
+    with LivePage("robot", LiveOptions(port=0)) as page:
+        mapped(page.follow(drive[:10]), page.observer)
         with connect(page.url.replace("http", "ws", 1) + "socket", max_size=None) as line:
 
             def told(key):
                 seen.receive(line.recv(10))
-                line.send(json.dumps({"do": "ack"}))
                 return seen.status.get(key)
 
             assert until(lambda: told("stage") in ("running", "waiting"))
@@ -51,5 +50,5 @@ def test_a_robot_tells_its_state_and_is_not_held_back(drive):
                 lambda: told("stage") and [message["text"] for message in seen.reported] == ["late scans: by 2 s"]
             )
             line.send(json.dumps({"do": "pause"}))
-            with pytest.raises(ConnectionClosed, match="a robot drives on"):
+            with pytest.raises(ConnectionClosed, match="nothing while the filter runs"):
                 until(lambda: told("stage") == "paused")

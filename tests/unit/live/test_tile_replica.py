@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 from gridslam.grid.cells import Evidence
 from gridslam.grid.tiles import TileMaps
 from gridslam.kernels import TILE, UNKNOWN
-from gridslam.live.tiles import TileChangeDetector, TileChanges, TileReplica, split_into_tiles
+from gridslam.live.tiles import TILE_BYTES, TileChangeDetector, TileChanges, TileReplica, split_into_tiles
 from gridslam.scan import StoredScan
 
 SIDE_M = 0.05
@@ -78,5 +78,5 @@ def test_any_number_of_viewers_gets_all_in_pieces_of_any_size(most, seed):
 def test_a_new_map_replaces_the_old_one():
     replica = TileReplica()
     replica.apply(TileChanges(np.array([[0, 0], [5, 5]], np.int32), np.full((2, TILE, TILE), 200, np.int16)))
-    replica.replace(TileChanges(np.array([[5, 5], [6, 5]], np.int32), np.full((2, TILE, TILE), -200, np.int16)))
+    replica.replace(dict.fromkeys([(5, 5), (6, 5)], bytes([17]) * TILE_BYTES))
     assert looks_of(replica).keys() == {(5, 5), (6, 5)}

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import re
 from collections.abc import Callable
 from dataclasses import replace
@@ -212,7 +211,6 @@ def test_page_log_and_diagnostics_report_the_same(name, tmp_path, monkeypatch, c
 
             def is_shown() -> bool:
                 seen.receive(line.recv(10))
-                line.send(json.dumps({"do": "ack"}))
                 words = told.values["state"]
                 is_listed = any(message["text"] == words for message in seen.reported)
                 return is_listed and (seen.status["stage"], seen.status["state"]) == (fault.state, words)

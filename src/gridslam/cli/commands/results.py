@@ -13,13 +13,11 @@ from gridslam.cli.options import evaluate_options, host_options, json_option
 @click.command("view")
 @click.argument("out", type=PATH)
 @click.option("--edit", is_flag=True, help="Let the page edit the map: OUT/edits.geojson.")
-@click.option("--floor", metavar="NAME", help="Of a session: the map that is shown.  [default: the newest drive's]")
 @host_options
 def view_command(**options: Any) -> None:  # noqa: ANN401
-    """Show the results in OUT, or a map of a session, in the browser.
+    """Show the results in OUT in the browser.
 
-    A run is replayed, of map, localize, landmarks or demo; of grid and merge the map is shown, of graph the poses, the
-    edges and their residuals.
+    A run of map, localize or demo is replayed; of grid and merge the map is shown.
     """
     from gridslam.cli.live import view
 

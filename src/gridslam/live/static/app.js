@@ -4,7 +4,6 @@ import { Camera } from "./camera.js";
 import { Chart, COLUMNS } from "./chart.js";
 import { Drawing } from "./drawing.js";
 import { Editor } from "./edit.js";
-import { Graph } from "./graph.js";
 import { Panel } from "./panel.js";
 import { Connection } from "./socket.js";
 import { Keys } from "./keys.js";
@@ -12,28 +11,27 @@ import { palette, TileMap } from "./tilemap.js";
 import { inMetres, Measure, roundLength } from "./tools.js";
 
 const $ = (selector) => document.querySelector(selector);
-const NONE = new Float32Array(), NO_NUMBERS = new Int32Array();
+const NONE = new Float32Array();
 
 const MOVE = 80; // px that an arrow key moves the map
 
 const world = { map: new TileMap() };
 const camera = new Camera($("#map"));
 const drawing = new Drawing($("#map"), world, camera);
-const panel = new Panel((command) => connection.send(command));
+const panel = new Panel(world, (command) => connection.send(command));
 const charts = [
   new Chart($("#n_eff"), 1, { share: true }),
   new Chart($("#latency"), 2, { unit: " ms" }),
 ];
 const measure = drawing.measure = new Measure();
 const editor = drawing.editor = new Editor(camera, () => redraw());
-const graph = new Graph(world, camera, () => redraw());
 let colours = {}, redrawPending = false;
 
 function reset() {
   world.map.clear();
   Object.assign(world, {
-    runInfo: {}, status: {}, path: NONE, plan: NONE, tree: NONE, parents: NO_NUMBERS, leaves: NO_NUMBERS,
-    particles: NONE, scan: NONE, closures: NONE, landmarks: NONE, truth: NONE, series: NONE, steps: 0, chosen: null,
+    runInfo: {}, status: {}, path: NONE, plan: NONE, particles: NONE, scan: NONE, closures: NONE, truth: NONE,
+    series: NONE, steps: 0,
   });
 }
 
@@ -57,10 +55,8 @@ function receive({ header, arrays }) {
     world.series = splice(world.series, COLUMNS * header.series, arrays.series);
     world.steps = world.series.length / COLUMNS;
   }
-  for (const name of ["particles", "scan", "closures", "plan", "landmarks", "truth"]) world[name] = arrays[name] ?? world[name];
-  if (arrays.tree) [world.tree, world.parents, world.leaves] = [arrays.tree, arrays.tree_parents, arrays.tree_leaves];
+  for (const name of ["particles", "scan", "closures", "plan", "truth"]) world[name] = arrays[name] ?? world[name];
   panel.show(world);
-  graph.show();
   Object.assign(document.body.dataset, { tiles: world.map.tiles.size, at: world.status.at ?? "", keys: world.steps });
   redraw();
 }
@@ -152,7 +148,7 @@ function resize() {
 
 function applyColours() {
   const style = getComputedStyle(document.documentElement);
-  for (const name of ["unknown", "free", "occupied", "text", "faint", "rule", "path", "ancestry", "particle", "selected", "scan", "closure", "landmark", "truth", "good", "bad"]) {
+  for (const name of ["unknown", "free", "occupied", "text", "faint", "rule", "path", "plan", "particle", "selected", "scan", "closure", "truth", "good", "bad"]) {
     colours[name] = style.getPropertyValue(`--${name}`).trim();
   }
   world.map.colour(palette(colours.unknown, colours.free, colours.occupied));
@@ -165,12 +161,10 @@ resize();
 const connection = new Connection(receive, (is, why) => panel.connected(is, why, world.status.stage === "finished"));
 camera.moved = redraw;
 camera.clicked = (u, v) => {
-  if (measure.active) {
-    measure.add(...camera.toWorld(u, v));
-    showPlace(camera.toWorld(u, v));
-    return redraw();
-  }
-  graph.pick(u, v);
+  if (!measure.active) return;
+  measure.add(...camera.toWorld(u, v));
+  showPlace(camera.toWorld(u, v));
+  redraw();
 };
 camera.hovered = (u, v) => {
   if (measure.active) {
@@ -203,9 +197,8 @@ addEventListener("resize", resize);
 matchMedia("(prefers-color-scheme: dark)").addEventListener("change", applyColours);
 
 new Keys([
-  [[" "], "pause, resume", () => panel.toggle()],
-  [["."], "to the next key scan", () => panel.step(false)],
-  [[">"], "to the next scan", () => panel.step(true)],
+  [[" "], "play, pause", () => panel.toggle()],
+  [["."], "to the next key scan", () => panel.seekBy(1)],
   [["ArrowLeft", "ArrowRight"], "back and on in time; with Shift, or without a time line, move the map", arrow],
   [["ArrowUp", "ArrowDown"], "faster, slower; with Shift, or without a time line, move the map", arrow],
   [["Home", "End"], "to the beginning, to the end", ({ key }) => panel.seek(key === "Home" ? 0 : Infinity)],

@@ -21,7 +21,7 @@ const FLAGS = 3, PARTICLES = 4;
 const LOST = 1, CORRECTED = 8;
 
 // The first step at or after a time.
-function findStep(series, steps, time) {
+export function findStep(series, steps, time) {
   let [low, high] = [0, steps - 1];
   while (low < high) {
     const middle = (low + high) >> 1;

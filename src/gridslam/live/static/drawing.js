@@ -3,7 +3,6 @@
 import { drawGrid } from "./tools.js";
 
 const ROBOT = 9; // px
-const CONTRADICTS = 11.34; // chi2 of three degrees of freedom, above which 1 % of correct edges lie
 
 // Draws a line through points, interrupted at NaN.
 function line(context, points, camera) {
@@ -17,17 +16,10 @@ function line(context, points, camera) {
   context.stroke();
 }
 
-// The place of a node of the tree; below 0 the last one that all particles share.
-function place(world, at) {
-  if (at >= 0) return world.tree.subarray(2 * at, 2 * at + 2);
-  const shared = world.status.shared ?? 0;
-  return world.path.subarray(2 * shared - 2, 2 * shared);
-}
-
 export class Drawing {
   constructor(canvas, world, camera) {
     Object.assign(this, { canvas, world, camera });
-    this.shown = { map: true, path: true, ancestry: true, particles: true, scan: true, closures: true, landmarks: true, truth: true, grid: false };
+    this.shown = { map: true, path: true, particles: true, scan: true, closures: true, truth: true, grid: false };
     this.opacity = 1;
   }
 
@@ -44,12 +36,9 @@ export class Drawing {
     if (shown.grid) drawGrid(context, camera, colours);
     Object.assign(context, { lineJoin: "round", lineCap: "round" });
     if (shown.truth) this.truth(context, colours.truth);
-    if (shown.ancestry) this.ancestry(context, colours.ancestry);
     if (shown.path) this.path(context, colours);
     if (shown.closures) this.closures(context, colours);
-    if (shown.landmarks) this.landmarks(context, colours.landmark);
     if (shown.scan) this.scan(context, colours.scan);
-    this.found(context, colours);
     this.robot(context, colours);
     if (shown.particles) this.particles(context, colours);
     for (const tool of [this.measure, this.editor]) tool?.draw(context, camera, colours);
@@ -80,15 +69,11 @@ export class Drawing {
   }
 
   closures(context, colours) {
-    const { world, camera } = this;
-    const { residuals } = world.status;
-    for (let k = world.closures.length - 4; k >= 0; k -= 4) {
-      const ends = world.closures.subarray(k, k + 4), off = residuals?.[k / 4]?.[2] ?? 0;
-      const isChosen = world.chosen === k / 4;
-      context.strokeStyle = context.fillStyle = isChosen ? colours.selected : off > CONTRADICTS ? colours.bad : colours.closure;
-      context.lineWidth = isChosen ? 3.5 : 1.2;
-      line(context, ends, camera);
-      for (const end of [ends.subarray(0, 2), ends.subarray(2)]) this.dot(context, end, 2.5);
+    const { closures } = this.world;
+    Object.assign(context, { strokeStyle: colours.closure, fillStyle: colours.closure, lineWidth: 1.2 });
+    for (let k = 0; k < closures.length; k += 4) {
+      line(context, closures.subarray(k, k + 4), this.camera);
+      for (const end of [k, k + 2]) this.dot(context, closures.subarray(end, end + 2), 2.5);
     }
   }
 
@@ -98,23 +83,10 @@ export class Drawing {
     context.fill();
   }
 
-  ancestry(context, colour) {
-    const { world, camera } = this;
-    Object.assign(context, { strokeStyle: colour, lineWidth: 1, globalAlpha: 0.7 });
-    context.beginPath();
-    for (let at = 0; at < world.parents.length; at++) {
-      if (world.parents[at] < (world.status.shared ? -1 : 0)) continue;
-      context.moveTo(...camera.toScreen(...place(world, world.parents[at])));
-      context.lineTo(...camera.toScreen(...place(world, at)));
-    }
-    context.stroke();
-    context.globalAlpha = 1;
-  }
-
   path(context, colours) {
     const { world, camera } = this;
     if (world.plan.length) {
-      Object.assign(context, { strokeStyle: colours.ancestry, lineWidth: 1, globalAlpha: 0.6 });
+      Object.assign(context, { strokeStyle: colours.plan, lineWidth: 1, globalAlpha: 0.6 });
       line(context, world.plan, camera);
       context.globalAlpha = 1;
     }
@@ -166,20 +138,6 @@ export class Drawing {
     context.globalAlpha = 1;
   }
 
-  // Marks where the robot was found again in the map of earlier drives.
-  found(context, colours) {
-    const { found } = this.world.status;
-    if (!found) return;
-    const [u, v] = this.camera.toScreen(...found.pose);
-    Object.assign(context, { strokeStyle: colours.good, fillStyle: colours.good, lineWidth: 2.4, font: "600 12px system-ui, sans-serif" });
-    for (const radius of [5, 11]) {
-      context.beginPath();
-      context.arc(u, v, radius, 0, 7);
-      context.stroke();
-    }
-    context.fillText("found again", u + 16, v + 4);
-  }
-
   robot(context, colours) {
     const { status } = this.world;
     if (!status.pose) return;
@@ -214,25 +172,11 @@ export class Drawing {
     context.globalAlpha = 1;
   }
 
-  // Draws the landmarks and their covariances.
-  landmarks(context, colour) {
-    const { landmarks } = this.world, side = 7;
-    for (let k = 0; k < landmarks.length; k += 5) {
-      const [x, y, xx, xy, yy] = landmarks.subarray(k, k + 5);
-      context.save();
-      context.translate(...this.camera.toScreen(x, y));
-      this.ellipse(context, xx, xy, yy, colour);
-      context.fillStyle = colour;
-      context.fillRect(-side / 2, -side / 2, side, side);
-      context.restore();
-    }
-  }
-
-  // The bounding box of paths and landmarks: [x0, y0, x1, y1], or null.
+  // The bounding box of paths: [x0, y0, x1, y1], or null.
   extent() {
     let box = null;
-    for (const [points, stride] of [[this.world.plan, 2], [this.world.path, 2], [this.world.landmarks, 5]]) {
-      for (let k = 0; k < points.length; k += stride) {
+    for (const points of [this.world.plan, this.world.path]) {
+      for (let k = 0; k < points.length; k += 2) {
         const [x, y] = [points[k], points[k + 1]];
         if (Number.isNaN(x)) continue;
         box ??= [x, y, x, y];

@@ -58,7 +58,7 @@ export class Editor {
   async start() {
     if (this.section) return;
     this.build();
-    const answer = await fetch(`edits.geojson${location.search}`);
+    const answer = await fetch("edits.geojson");
     if (!answer.ok) return this.tell(await answer.text(), true);
     const { features, ...head } = await answer.json();
     Object.assign(this, { head, tag: answer.headers.get("etag") ?? "", history: new History(features) });
@@ -226,7 +226,7 @@ export class Editor {
     this.saving = true;
     const { features } = this;
     try {
-      const answer = await fetch(`edits.geojson${location.search}`, {
+      const answer = await fetch("edits.geojson", {
         method: "PUT", headers: { "if-match": this.tag }, body: JSON.stringify({ ...this.head, features }),
       });
       this.tag = answer.ok ? answer.headers.get("etag") : this.tag;

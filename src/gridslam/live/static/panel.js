@@ -2,9 +2,10 @@
 
 import { COLUMNS } from "./chart.js";
 import { Messages } from "./messages.js";
+import { Player } from "./player.js";
 
 const $ = (selector) => document.querySelector(selector);
-const PATIENCE_MS = 2000; // with the answer to a wish
+const CONTROLS = ["#pause", "#step", "#speed", "#line"];
 const SPEEDS = [0.25, 0.5, 1, 2, 5, 10, 30, 100];
 
 function clock(seconds) {
@@ -24,14 +25,14 @@ const twoDigits = (value) => (value >= 10 ? value.toFixed(0) : value.toPrecision
 
 export class Panel {
   // `ask` sends a command to the server.
-  constructor(ask) {
-    this.ask = ask;
+  constructor(world, ask) {
+    Object.assign(this, { world, ask });
     this.messages = new Messages();
-    this.pauses = false; // whether the run is paused by this page: the server ends the pause with the connection
+    this.player = new Player((at) => this.show(world, at));
     for (const factor of SPEEDS) $("#speed").add(new Option(`${factor} ×`, factor));
-    $("#speed").onchange = ({ target }) => ask({ do: "speed", factor: target.value === "" ? null : Number(target.value) });
+    $("#speed").onchange = ({ target }) => { this.player.speed = Number(target.value); };
     $("#pause").onclick = () => this.toggle();
-    $("#step").onclick = (event) => this.step(event.shiftKey);
+    $("#step").onclick = () => this.seekBy(1);
     $("#line").oninput = ({ target }) => this.seek(Number(target.value));
     $("#sheet").onclick = () => {
       const open = document.body.toggleAttribute("data-sheet");
@@ -40,120 +41,89 @@ export class Panel {
     };
   }
 
+  // Begins with the end of a run; a page that was disconnected goes back to where it was.
   setRunInfo(runInfo) {
-    this.pauses &&= runInfo.session === this.run;
+    if (runInfo.session !== this.run) {
+      this.player.stop();
+      this.at = Infinity;
+      this.speed(runInfo.speed ?? this.player.speed);
+    } else if (Number.isFinite(this.at)) this.ask({ do: "seek", at: this.at });
     this.run = runInfo.session;
-    if (this.pauses) this.ask({ do: "pause" }); // the connection was lost
-    this.mode = runInfo.mode;
+    document.body.dataset.mode = runInfo.mode; // the style sheet hides what does not apply
     document.title = `${runInfo.title} · gridslam`;
     $("#title").textContent = runInfo.title;
-    const replay = this.mode === "replay", unlimited = $("#speed option[value='']");
     for (const part of document.querySelectorAll("[data-layer]")) part.hidden = !runInfo.layers.includes(part.dataset.layer);
     $("#latency-of").textContent = `Time per ${runInfo.step}`;
-    document.body.dataset.mode = runInfo.mode; // the style sheet hides the controls that do not apply
-    if (!replay && !unlimited) $("#speed").add(new Option("max", ""));
-    if (replay) unlimited?.remove();
   }
 
-  get held() { return document.body.hasAttribute("data-held"); }
+  // Whether there is a time line to move on: of a finished run.
+  get hasTime() { return !$("#line").disabled; }
 
   toggle() {
-    if ($("#pause").disabled) return;
-    this.pauses = !this.held;
-    this.ask({ do: this.held ? "resume" : "pause" });
+    if (!this.hasTime) return;
+    if (this.player.playing) this.player.stop();
+    else this.player.start(this.world, this.at);
+    this.show(this.world);
   }
-
-  step(shift) {
-    if ($("#step").disabled) return;
-    this.pauses = true;
-    this.ask({ do: "step", to_key_scan: !shift });
-  }
-
-  // Whether there is a time line to move on.
-  get hasTime() { return !$("#line").disabled; }
 
   seek(at) {
     if (!this.hasTime) return;
-    const from = Number($("#line").value);
-    $("#line").value = Math.min(Math.max(at, 0), Number($("#line").max));
-    this.wish = { at: Number($("#line").value), from, untilMs: performance.now() + PATIENCE_MS };
-    this.ask({ do: "seek", at: this.wish.at });
+    const chosen = Math.min(Math.max(at, 0), this.world.status.last);
+    this.player.moveTo(this.world, chosen);
+    this.show(this.world, chosen);
   }
 
-  // Whether a status at `at` is as the viewer wished; what plays has continued from there.
-  isReached(at) {
-    if (!this.wish || this.held) return at === this.wish?.at;
-    return at >= this.wish.at && (this.wish.at >= this.wish.from || at < this.wish.from);
-  }
-
-  seekBy(steps) { this.seek(Number($("#line").value) + steps); }
+  seekBy(steps) { this.seek(this.at + steps); }
 
   // Takes the next speed of the list, up or down.
   accelerate(direction) {
-    const options = [...$("#speed").options], at = options.findIndex((option) => option.selected) + direction;
-    if ($("#speed").disabled || !options[at]) return;
-    options[at].selected = true;
-    $("#speed").onchange({ target: $("#speed") });
+    const options = [...$("#speed").options], next = options[$("#speed").selectedIndex + direction];
+    if (next) this.speed(Number(next.value));
   }
 
   // Shows whether there is a connection; `why` is the reason if the server has refused it.
   connected(is, why, finished) {
     this.messages.interrupt(is || finished ? "" : why ? `Refused by the server: ${why}.` : "Connection lost; trying again…");
     if (is) return;
+    this.player.stop();
     document.body.dataset.stage = finished ? "finished" : "offline";
-    document.body.toggleAttribute("data-over", finished);
     $("#stage").textContent = finished ? "finished, server closed" : "offline";
-    for (const id of ["#pause", "#step", "#speed", "#line"]) $(id).disabled = true;
+    for (const id of CONTROLS) $(id).disabled = true;
   }
 
-  show(world) {
-    const { status } = world;
-    document.body.dataset.stage = status.stage;
-    const stage = status.state || (WORDS[status.stage] ?? (this.mode === "replay" && status.stage === "running" ? "playing" : status.stage));
-    $("#stage").textContent = status.past && this.mode !== "replay" ? `${stage}, seen as it was` : stage;
-    if (this.held && status.stage !== "paused") this.pauses = false; // another has ended the pause
-    document.body.toggleAttribute("data-held", ["paused", "finished"].includes(status.stage));
-    const over = ["final refinement", "writing", "failed"].includes(status.stage) || (status.stage === "finished" && this.mode !== "replay"), going = !over && this.mode !== "still";
-    document.body.toggleAttribute("data-over", over);
-    for (const id of ["#pause", "#step", "#speed"]) $(id).disabled = !going || this.mode === "robot";
-    $("#pause").setAttribute("aria-label", this.held ? "Resume" : "Pause");
-    if (document.activeElement !== $("#speed")) this.speed(status.speed ?? "");
+  // Shows what there is; with a key scan this one, once the server has sent it.
+  show(world, at) {
+    const { status, runInfo } = world, isReplay = runInfo.mode === "replay", { playing } = this.player;
+    if (isReplay) this.at = Math.min(at ?? this.at, status.last);
+    if (at !== undefined) this.ask({ do: "seek", at: this.at });
+    const stage = !isReplay ? status.stage : playing ? "running" : this.at === status.last ? "finished" : "paused";
+    Object.assign(document.body.dataset, { stage, mode: isReplay && !status.last ? "still" : runInfo.mode });
+    document.body.toggleAttribute("data-held", !playing);
+    for (const id of CONTROLS) $(id).disabled = !isReplay || !status.last;
+    $("#stage").textContent = playing ? "playing" : status.state || (WORDS[stage] ?? stage);
+    $("#pause").setAttribute("aria-label", playing ? "Pause" : "Play");
     $("#summary").textContent = this.summarize(world).join(" · ");
-    this.session(status);
     this.robot(status);
     this.particles(world);
     this.time(world);
   }
 
+  // Plays at a speed, which is added to the list where it lacks.
   speed(factor) {
-    const list = $("#speed");
+    const list = $("#speed"), options = [...list.options];
+    if (!options.some(({ value }) => Number(value) === factor)) {
+      list.add(new Option(`${factor} ×`, factor), options.find(({ value }) => Number(value) > factor) ?? null);
+    }
     list.value = factor;
-    if (list.value === String(factor)) return;
-    const faster = [...list.options].find((option) => option.value === "" || Number(option.value) > factor);
-    list.add(new Option(`${factor} ×`, factor, false, true), faster ?? null);
+    this.player.speed = factor;
   }
 
   summarize({ status, runInfo: { step } }) {
-    const parts = status.size_m ? [status.size_m.map((side) => `${side.toFixed(1)} m`).join(" × ")] : [];
-    const counts = [[status.scans, "scan"], [status.keys, step], [status.poses, "pose"], [status.edges, "edge"], [status.landmarks, "landmark"], [status.closures, "loop closure"]];
-    for (const [count, what] of counts) if (count) parts.push(`${count} ${what}${count > 1 ? "s" : ""}`);
-    if (status.real_time_factor && status.stage !== "paused" && this.mode === "live") parts.push(`${twoDigits(status.real_time_factor)} × real time`);
+    const parts = [];
+    for (const [count, what] of [[status.scans, "scan"], [status.keys, step], [status.closures, "loop closure"]]) if (count) parts.push(`${count} ${what}${count > 1 ? "s" : ""}`);
+    if (status.real_time_factor) parts.push(`${twoDigits(status.real_time_factor)} × real time`);
     if (status.bytes) parts.push(`maps ${(status.bytes / 1e6).toFixed(0)} MB`);
     return parts;
-  }
-
-  // Which session goes on, and where the robot was found again in it.
-  session({ goes_on, searches, found }) {
-    const part = $("#goes-on"), [session, state] = part.querySelectorAll("p");
-    part.hidden = !goes_on && !found && !searches;
-    if (part.hidden) return;
-    const drives = goes_on?.drives ?? [];
-    session.hidden = !goes_on;
-    session.querySelector("b").textContent = goes_on?.name ?? "";
-    session.querySelector("span").textContent = drives.length ? `${drives.length} drive${drives.length > 1 ? "s" : ""}` : "";
-    session.title = drives.join(", ");
-    state.textContent = found ? `found again after ${found.way_m.toFixed(1)} m, at ${found.pose[0].toFixed(2)} m, ${found.pose[1].toFixed(2)} m`
-      : searches ? "looking for the robot in its map" : goes_on ? "goes on" : "";
   }
 
   robot({ pose, covariance, lost_probability, inlier_ratio }) {
@@ -176,21 +146,14 @@ export class Panel {
     put("n_eff", status.n_eff == null ? "" : `${oneDecimal(status.n_eff)} of ${count}`);
     put("latency", steps ? `${twoDigits(latency)} ms` : "");
     put("particles", status.particles || "");
-    $("#shown").textContent = ["writing", "finished"].includes(status.stage) ? "final map" : status.past ? "map as it was"
+    $("#shown").textContent = status.past ? "map as it was" : ["writing", "finished"].includes(status.stage) ? "final map"
       : status.best === undefined ? "" : `map of the best particle, ${status.best}`;
   }
 
-  // The time line: of a finished run its time, of a running one its key scans so far.
+  // The time line of a finished run, or how long a running one has come.
   time({ status, runInfo }) {
-    const slider = $("#line"), replay = runInfo.mode === "replay";
-    slider.disabled = !(replay || status.last > 0);
-    if (runInfo.mode !== "still") {
-      slider.max = Math.max(status.last ?? 0, 0);
-      const at = status.at ?? Number(slider.max);
-      if (this.isReached(at) || performance.now() > this.wish?.untilMs) this.wish = null; // until then `at` is older than the wish
-      if (!this.wish && !slider.matches(":active")) slider.value = at;
-    }
-    const total = replay ? ` / ${clock(status.total_s)}` : status.progress ? ` · ${percent(status.progress)}` : "";
+    if (runInfo.mode === "replay") Object.assign($("#line"), { max: status.last, value: this.at });
+    const total = status.total_s ? ` / ${clock(status.total_s)}` : status.progress ? ` · ${percent(status.progress)}` : "";
     $("#time output").textContent = status.time_s === undefined ? "" : clock(status.time_s) + total;
   }
 }

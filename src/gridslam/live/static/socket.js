@@ -40,7 +40,6 @@ export class Connection {
   open() {
     const address = new URL("socket", location.href);
     address.protocol = location.protocol === "https:" ? "wss:" : "ws:";
-    address.search = location.search;
     address.hash = "";
     const socket = new WebSocket(address);
     socket.binaryType = "arraybuffer";
@@ -55,7 +54,6 @@ export class Connection {
       queue = queue.then(() => decode(data)).then((message) => {
         if (this.socket !== socket) return;
         this.received(message);
-        this.send({ do: "ack" });
       });
     };
     socket.onclose = ({ code, reason }) => this.socket === socket && this.lost(code, reason);
