@@ -63,7 +63,7 @@ _KINDS: Final[Mapping[str, Mapping[str, str]]] = {
     },
     "selective_resampling": {"False": "AlwaysResample", "True": "EffectiveSampleSizeBelow"},
 }
-"""What the values of parameters mean that choose a part; a holonomic robot's motion has noise across it, too."""
+"""Parts by the values of parameters; a holonomic robot's motion has noise across it, too."""
 
 AMCL_DEFAULTS: Final[Mapping[str, Mapping[str, Any]]] = {
     "amcl": {name: default for name, _, default, _, _ in _TABLE if default is not None},
@@ -165,7 +165,8 @@ def from_amcl(parameters: Mapping[str, Any], base: MonteCarloConfiguration | Non
         given.setdefault("min_particles", most)
     try:
         rest = replace_parameters(_Rest(), {name: given[name] for name in names(_Rest()) if name in given})
-        changes = _changes({name: value for name, value in given.items() if name not in unused}, configuration)
+        used = {name: value for name, value in given.items() if name not in unused}
+        changes = _changes(used, rest, configuration)
         configuration = replace_parameters(configuration, nest(changes))
     except ConfigurationError as error:
         raise _with_amcl_name(error, spelled) from None
@@ -239,7 +240,7 @@ def _with_amcl_name(error: ConfigurationError, spelled: Mapping[str, str]) -> Co
     return ConfigurationError(f"{own[0] if own else path}: {problem}")
 
 
-def _changes(given: Mapping[str, Any], configuration: MonteCarloConfiguration) -> Table:
+def _changes(given: Mapping[str, Any], rest: _Rest, configuration: MonteCarloConfiguration) -> Table:
     """Return the changes to the filter, by dotted names."""
     changes: Table = {}
     if any(name.startswith("odom_alpha") for name in given):
@@ -259,10 +260,10 @@ def _changes(given: Mapping[str, Any], configuration: MonteCarloConfiguration) -
             changes[place] = value
     if "range_max_m" in changes:
         changes["sensor.range_max_m"] = changes["range_max_m"]
-    return changes | _sensor(given, changes, configuration)
+    return changes | _sensor(given, rest, changes, configuration)
 
 
-def _sensor(given: Mapping[str, Any], changes: Table, configuration: MonteCarloConfiguration) -> Table:
+def _sensor(given: Mapping[str, Any], rest: _Rest, changes: Table, configuration: MonteCarloConfiguration) -> Table:
     """Return the shares of the sensor model; AMCL's need not sum to 1, and a factor on all of them changes nothing."""
     now = type(configuration.sensor).__name__
     kind = changes.get("sensor.kind", now)
@@ -271,9 +272,10 @@ def _sensor(given: Mapping[str, Any], changes: Table, configuration: MonteCarloC
         changes.pop("sensor.lambda_short_per_m", None)
     if not any(f"laser_{share}" in given for share in _SHARES):
         return {}
-    amcl = {share: AMCL_DEFAULTS["amcl"][f"laser_{share}"] for share in _SHARES}
+    own = rest.laser_z_hit, rest.laser_z_short, rest.laser_z_max, rest.laser_z_rand
+    amcl = dict(zip(_SHARES, own, strict=True))
     before = to_table(configuration.sensor) if kind == now else amcl
-    shares = {share: given.get(f"laser_{share}", before[share]) for share in used}
+    shares = {share: (amcl if f"laser_{share}" in given else before)[share] for share in used}
     total = sum(shares.values())
     if not total:
         raise ConfigurationError(f"{' and '.join(used)}: expected a sum above 0, got none")

@@ -8,7 +8,7 @@ from pathlib import Path
 from gridslam.api.conversion import Conversion, convert_log
 from gridslam.api.diagnosis import write_diagnosis
 from gridslam.cli.options import name_option
-from gridslam.cli.output import open_output, print_result, reading_progress, warn
+from gridslam.cli.output import open_output, open_progress, print_result, warn
 from gridslam.doctor import Diagnosis, Severity, diagnose
 from gridslam.doctor.report import document, text
 from gridslam.io.datasets import DATASETS, fetch_dataset, find_dataset
@@ -36,14 +36,17 @@ def doctor_log(log: Path, out: Path | None, options: LogOptions, as_json: bool) 
 
 
 def _diagnose_with_progress(source: Log, shown: bool) -> Diagnosis:
-    with reading_progress(lambda: source.statistics, shown=shown) as on_progress:
+    with open_progress(source, shown=shown) as on_progress:
         return diagnose(source, on_progress=on_progress)
 
 
 def convert(log: Path, out: Path, options: LogOptions, to: str | None, as_json: bool) -> None:
     """Convert a log and report the data that the target format cannot represent."""
     source = open_log(log, options)
-    with name_option(out=str(out)), reading_progress(lambda: source.statistics, shown=not as_json) as on_progress:
+    with (
+        name_option(out=str(out)),
+        open_progress(source, shown=not as_json) as on_progress,
+    ):
         conversion = convert_log(source, out, to=to, on_progress=on_progress)
     form = conversion.format.value
     read = conversion.log
