@@ -1,4 +1,4 @@
-"""Simulated drives that judge loop closure: some made to deceive, campuses of 2 km, and grounds."""
+"""Simulated drives that judge loop closure: some made to deceive, and campuses of 2 km."""
 
 from __future__ import annotations
 
@@ -62,19 +62,6 @@ def campus(seed: int) -> Drive:
     odometry = _drifting(rng, math.radians(rng.uniform(40, 80)) / 1000, alpha2=1e-4)
     lidar = LidarConfig(range_max_m=50.0, sigma_range_m=0.015)
     return Drive(f"campus {seed}", world, _FAST, odometry, lidar, seed)
-
-
-def grounds(seed: int) -> Drive:
-    """1 km to 3 km outdoors and in corridors, a scan about every metre, of 80 m at the most.
-
-    The odometry's heading drifts by 20 to 60 degrees in 1 km, and tracked motion by a few metres, as on the logs of
-    such places.
-    """
-    rng = np.random.default_rng(seed)
-    world = make_world("grounds", rng)
-    odometry = _drifting(rng, math.radians(rng.uniform(20, 60)) / 1000, alpha2=1e-4)
-    lidar = LidarConfig(range_max_m=80.0, sigma_range_m=0.02, no_return_probability=0.02, rate_hz=0.8)
-    return Drive(f"grounds {seed}", world, _FAST, odometry, lidar, seed)
 
 
 def _drifting(rng: np.random.Generator, bias_rad_per_m: float, alpha2: float) -> OdometryNoise:

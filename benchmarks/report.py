@@ -1,10 +1,8 @@
-"""The report: tables in Markdown."""
+"""Tables in Markdown."""
 
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass, field
-from typing import final
 
 
 def table(head: Sequence[str], rows: Iterable[Sequence[object]]) -> str:
@@ -19,13 +17,8 @@ def _text(cell: object) -> str:
     return f"{cell:.0f}" if abs(cell) >= 1000 else f"{cell:.4g}"
 
 
-@final
-@dataclass
-class Report:
-    """Collects sections, printed as they come."""
-
-    sections: list[str] = field(default_factory=list)
-
-    def add(self, title: str, *paragraphs: str) -> None:
-        self.sections.append("\n\n".join([f"## {title}", *paragraphs]))
-        print(f"\n{self.sections[-1]}", flush=True)
+def show(title: str, head: Sequence[str], rows: Iterable[Sequence[object]]) -> str:
+    """Print a section with a table, and return it."""
+    section = f"## {title}\n\n{table(head, rows)}"
+    print(f"\n{section}", flush=True)
+    return section

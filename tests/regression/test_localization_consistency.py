@@ -2,20 +2,17 @@
 
 from __future__ import annotations
 
-from functools import cache
-
 import numpy as np
 import pytest
 
-import half_mapped as benchmark
 from gridslam.evaluation.consistency import nees
 from gridslam.localization import KnownMap, MonteCarloConfiguration, MonteCarloLocalization
 from gridslam.localization.match_covariance import MatchCovariance
 from gridslam.localization.place_verification import PlaceVerification
 from gridslam.matching.gauss_newton import GaussNewton
 from gridslam.models.endpoint import LikelihoodField
-from half_mapped import SCANS, localize_from
 from support.global_localization import Building, GlobalRun
+from support.half_mapped import SCANS, half_mapped, localize_from
 from support.localization_consistency import ALIKE, WORLDS, buildings, describe_covariances, describe_finds
 from support.localization_world import RandomWalk, drive, flat_map
 
@@ -136,9 +133,6 @@ def test_where_places_look_alike_nobody_is_told_to_be_found_where_it_is_not():
         assert run.false < 0.05
     both = GlobalRun.joined(runs)
     assert both.doubt[both.wrong].min() > 0.2
-
-
-half_mapped = cache(benchmark.half_mapped)
 
 
 def test_a_robot_outside_what_is_mapped_is_not_found_somewhere_in_it():
