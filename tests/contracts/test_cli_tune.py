@@ -41,11 +41,11 @@ def test_it_writes_a_configuration_and_a_document(tuned, logs):
     out, _ = tuned
     folder = out.with_suffix(".tune")
     document = json.loads((folder / "tune.json").read_text())
-    assert document["schema"] == "gridslam.tuning/3"
+    assert document["schema"] == "gridslam.tuning/4"
     assert [log["held_out"] for log in document["logs"]] == [False, True]
     assert document["logs"][0]["reference"] == str(logs / "log1.truth.tum")
     assert len(document["trials"]) == 4
-    assert document["start"] == {"particles": 2, "loop_closure.kind": "none"}
+    assert (document["start"]["particles"], document["start"]["loop_closure"]) == (2, {"kind": "none"})
     configuration = load(out)
     assert configuration.particles == 2
     assert document["recommended"] is (configuration != START)
