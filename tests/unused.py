@@ -4,7 +4,7 @@
 context, format_epilog, format_usage, get_command, list_commands  # click
 __getattr__, __dir__, __signature__, __cause__, __context__, _repr_html_, _repr_svg_  # Python and notebooks
 writeable, comment, compress_type, max_size, should_exit  # NumPy, zipfile, websockets, uvicorn
-run_map, run_localize, run_doctor, run_evaluate, run_trial  # targets of jobs, which are text
+run_map, run_localize, run_doctor, run_evaluate  # targets of jobs, which are text
 (
     comments,
     jumps,

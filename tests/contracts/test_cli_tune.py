@@ -8,6 +8,7 @@ import sys
 import numpy as np
 import pytest
 
+from gridslam.batch.commands import run_map
 from gridslam.cli import tune as tune_module
 from gridslam.cli.main import main
 from gridslam.config import Configuration, load, override
@@ -15,7 +16,6 @@ from gridslam.geometry.se2 import between
 from gridslam.io.log import LogOptions
 from gridslam.io.trajectories import read_trajectory
 from gridslam.parameters import to_table
-from gridslam.tuning.trial import run_trial
 
 START = override(Configuration(), "particles=2", "loop_closure=false")
 FEW = "--particles", "2", "--trials", "3", "--judging-seeds", "2", "--no-loop-closure"
@@ -44,11 +44,11 @@ def test_it_writes_a_configuration_and_a_document(tuned, logs):
     out, _ = tuned
     folder = out.with_suffix(".tune")
     document = json.loads((folder / "tune.json").read_text())
-    assert document["schema"] == "gridslam.tuning/3"
+    assert document["schema"] == "gridslam.tuning/4"
     assert [log["held_out"] for log in document["logs"]] == [False, True]
     assert document["logs"][0]["reference"] == str(logs / "log1.truth.tum")
     assert len(document["trials"]) == 3
-    assert document["start"] == {"particles": 2, "loop_closure.kind": "none"}
+    assert (document["start"]["particles"], document["start"]["loop_closure"]) == (2, {"kind": "none"})
     configuration = load(out)
     assert configuration.particles == 2
     assert document["recommended"] is (configuration != START)
@@ -122,9 +122,10 @@ def test_relations_count_within_the_time_that_is_read(tmp_path, capsys):
     (tmp_path / "log.relations").write_text("".join(lines))
     relations = str(log.with_suffix(".relations"))
     for duration_s, least, most in ((5.0, 0.0, 0.2), (8.0, 0.4, 0.7)):
-        trial = {"log": str(log), "digest": None, "configuration": to_table(START), "seed": 0, "threads": 1}
+        trial = {"log": str(log), "job": {}, "configuration": to_table(START), "seed": 0, "threads": 1}
         trial |= {"repair": "none", "options": LogOptions(duration_s=duration_s).to_dict(), "max_memory_bytes": 10**9}
-        assert least < run_trial(trial | {"reference": relations})["loss"] < most
+        scores = run_map(trial | {"reference": relations, "out": str(tmp_path / "out")})["evaluation"]
+        assert least < scores["relations"]["trans_mean_m"] < most
     assert main(["tune", str(log), "-o", str(tmp_path / "best.toml"), *FEW, "--duration", "2"]) == 2
     assert "expected a relation within the time that was mapped, got none" in capsys.readouterr().err
 

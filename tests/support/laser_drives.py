@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import functools
 import math
+from collections.abc import Iterable
 
 import numpy as np
 
-from gridslam.doctor.laser_motion import LaserMotion
+from gridslam.doctor.laser_motion import LaserMotion, LaserMotionEstimator
 from gridslam.geometry.se2 import compose, exp
 from gridslam.io.measurement import Measurement
 from gridslam.sim import LidarConfig, OdometryNoise, RobotConfig, make_world, simulate
@@ -15,6 +16,14 @@ from gridslam.sim import LidarConfig, OdometryNoise, RobotConfig, make_world, si
 RATE_HZ = 10.0
 EXACT = OdometryNoise(1.0, 1.0, 0.0, 0.0, 0.0, 0.0, 0.0)
 FAIR = OdometryNoise(1.0, 1.0, 0.0)
+
+
+def laser_motion(measurements: Iterable[Measurement]) -> LaserMotion:
+    """The motion of the only laser of a log."""
+    estimator = LaserMotionEstimator()
+    for measurement in measurements:
+        estimator.add(measurement)
+    return estimator.motion
 
 
 def path(times: np.ndarray) -> np.ndarray:

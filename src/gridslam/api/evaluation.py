@@ -13,6 +13,7 @@ from gridslam.evaluation.self_consistency import measure_self_consistency
 from gridslam.evaluation.trajectory import (
     MAX_GAP_NS,
     absolute_errors,
+    clip_relations,
     relation_errors,
     relative_errors_by_distance,
 )
@@ -54,13 +55,23 @@ def evaluate_trajectory(trajectory: str | Path, reference: str | Path, distance_
 
 
 def score_against_reference(
-    estimate: Trajectory, source: str | Path, reference: str | Path, distance_m: float = 1.0
+    estimate: Trajectory,
+    source: str | Path,
+    reference: str | Path,
+    distance_m: float = 1.0,
+    *,
+    is_part: bool = False,
 ) -> dict[str, Any]:
-    """Scores of a trajectory, which messages name `source`, against a file, as `evaluate_trajectory` computes them."""
+    """Scores of a trajectory, which messages name `source`, against a file, as `evaluate_trajectory` computes them.
+
+    Of a part of the log only relations within its time count.
+    """
     require_instance("estimate", estimate, Trajectory)
     try:
         if Path(reference).suffix == ".relations":
-            return {"relations": asdict(relation_errors(estimate, read_relations(reference)))}
+            relations = read_relations(reference)
+            relations = clip_relations(relations, estimate) if is_part else relations
+            return {"relations": asdict(relation_errors(estimate, relations))}
         if is_log(reference):
             scans = (scan for _, scan in open_repaired(reference, None, "needed"))
             return {"self_consistency": asdict(measure_self_consistency(estimate, scans))}

@@ -95,9 +95,10 @@ def _write(
     reference = arguments["reference"]
     if reference is not None:
         source = Path(arguments["out"]) / "trajectory.tum"
-        document["evaluation"] = {"reference": reference} | score_against_reference(
-            result.trajectory, source, reference
-        )
+        options = _read_options(arguments)
+        is_part = options.duration_s is not None or options.start_s > 0
+        scores = score_against_reference(result.trajectory, source, reference, is_part=is_part)
+        document["evaluation"] = {"reference": reference} | scores
     folder.write_json("run.json", document)
     return document
 

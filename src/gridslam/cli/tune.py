@@ -11,20 +11,23 @@ from typing import Any
 
 import click
 
+from gridslam.api.evaluation import is_log
 from gridslam.batch.engine import run_jobs
 from gridslam.batch.job import Job
 from gridslam.batch.manifest import find_logs
 from gridslam.cli.batch import require_journal
 from gridslam.cli.options import MapOptions
 from gridslam.cli.output import counted, open_display, print_result, stop_if_interrupted, write_apart
+from gridslam.errors import InputError
 from gridslam.io.limits import max_memory_bytes
 from gridslam.io.log import LogOptions, open_log
 from gridslam.io.output import write_atomically
 from gridslam.io.text import compute_digest
 from gridslam.tuning.report import describe_verdict, to_document, to_toml
 from gridslam.tuning.search_space import SearchSpace
-from gridslam.tuning.trial import find_reference
 from gridslam.tuning.tune import Settings, TunedLog, Tuner, load_optuna
+
+_BESIDE = (".relations", ".truth.tum", ".ref.tum", ".ref.tum.gz")
 
 
 @dataclass(frozen=True)
@@ -51,7 +54,9 @@ class TuneOptions:
         for k, entry in enumerate(entries):
             stop_if_interrupted()
             open_log(entry.path, options)  # which names a file that is no log
-            reference = None if self.without_reference else entry.reference or find_reference(entry.path)
+            reference = None if self.without_reference else entry.reference or _find_reference(entry.path)
+            if reference is not None and is_log(reference):
+                raise InputError(reference, "expected a trajectory or relations, got a log")
             where = None if reference is None else os.fspath(reference)
             found.append(TunedLog(entry.name, entry.path, "", where, held_out=k >= searched))
         return found
@@ -97,6 +102,13 @@ def run_tune(logs: Sequence[str], out: Path, given: MapOptions, tune: TuneOption
         verdict = describe_verdict(tuning, chosen)
         lines = [f"tried {counted(tried, 'configuration')}", *verdict, f"{out}; details: {folder}"]
         print_result(document, lines, as_json)
+
+
+def _find_reference(log: str) -> Path | None:
+    """File beside a log that has its name and is a reference: NAME.relations, NAME.truth.tum or NAME.ref.tum[.gz]."""
+    path = Path(log)
+    stem = path.name.partition(".")[0]
+    return next((found for ending in _BESIDE if (found := path.with_name(stem + ending)).is_file()), None)
 
 
 def _write_text(file: Path, text: str) -> None:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from array import array
-from collections.abc import Iterable
 from dataclasses import dataclass, field
 from typing import final
 
@@ -173,29 +172,6 @@ class LaserMotionEstimator:
             bool(geometry.base_from_laser[2, 2] < 0),
             self._scans,
         )
-
-
-def laser_motion(measurements: Iterable[Measurement], sensor: str | None = None) -> LaserMotion:
-    """Find the motion of one laser from its scans alone.
-
-    Parameters
-    ----------
-    measurements : iterable of Measurement
-        The log, in its order; read once.
-    sensor : str, optional
-        Which laser; that of the first scan if not given.
-
-    Returns
-    -------
-    LaserMotion
-        Empty where there is no scan of that laser.
-    """
-    estimator = LaserMotionEstimator()
-    for measurement in measurements:
-        sensor = measurement.scan.sensor if sensor is None else sensor
-        if measurement.scan.sensor == sensor:
-            estimator.add(measurement)
-    return estimator.motion
 
 
 def _covariances(information: FloatArray, poses: FloatArray, shares: FloatArray, beams: int) -> FloatArray:

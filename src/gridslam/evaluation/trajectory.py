@@ -14,6 +14,7 @@ from gridslam.geometry.angles import wrap
 from gridslam.geometry.se2 import between, compose
 from gridslam.types import FloatArray, IntArray, Trajectory
 
+_TOLERANCE_NS = 1_000_000
 MAX_GAP_NS = 1_000_000_000
 """Between poses of a reference that are farther apart in time nothing is interpolated: a robot may turn in it."""
 
@@ -58,7 +59,7 @@ def _neighbours(stamps: IntArray, times: IntArray) -> tuple[IntArray, IntArray]:
 
 @checked
 def interpolate(
-    trajectory: Trajectory, stamps_ns: ArrayLike, *, tolerance_ns: int = 1_000_000
+    trajectory: Trajectory, stamps_ns: ArrayLike, *, tolerance_ns: int = _TOLERANCE_NS
 ) -> tuple[FloatArray, NDArray[np.bool_]]:
     """Poses of a trajectory at given times: x and y linear, theta along the shorter arc, between neighbours in time.
 
@@ -296,6 +297,17 @@ class Relations:
         if not len(self.from_ns) == len(self.to_ns) == len(self.poses) > 0 or self.poses.shape[1:] != (3,):
             shapes = (self.from_ns.shape, self.to_ns.shape, self.poses.shape)
             raise ArgumentError("Relations", "shapes (M,), (M,), (M, 3), M > 0", shapes)
+
+
+def clip_relations(relations: Relations, trajectory: Trajectory) -> Relations:
+    """Return the relations whose times lie within the trajectory's; raises ArgumentError where there is none."""
+    first = trajectory.stamps_ns.min() - _TOLERANCE_NS
+    last = trajectory.stamps_ns.max() + _TOLERANCE_NS
+    times = np.array([relations.from_ns, relations.to_ns])
+    within = ((times >= first) & (times <= last)).all(axis=0)
+    if not within.any():
+        raise ArgumentError("reference", "a relation within the time that was mapped", "none")
+    return Relations(relations.from_ns[within], relations.to_ns[within], relations.poses[within])
 
 
 @final

@@ -44,8 +44,6 @@ class Comparison:
         Its loss as a ratio to the other's, geometric mean; below 1 is better.
     lower, upper : float
         95 % interval of the ratio by Student's t; infinite where there are not two observations.
-    seed_noise : float
-        Ratio by which one seed of the same configuration and log differs from another: exp of the standard deviation.
     units : str
         What the observations are: "logs", or "runs".
     observations : int
@@ -57,7 +55,6 @@ class Comparison:
     ratio: float
     lower: float
     upper: float
-    seed_noise: float
     units: str
     observations: int
     failed: int
@@ -88,7 +85,6 @@ def compare(pairs: Sequence[Pair]) -> Comparison:
         ratio=math.exp(mean),
         lower=math.exp(mean - half) if math.isfinite(half) else 0.0,
         upper=math.exp(mean + half) if math.isfinite(half) else math.inf,
-        seed_noise=math.exp(_seed_deviation(pairs)),
         units="logs" if by_log else "runs",
         observations=len(observed),
         failed=sum(math.isinf(pair.tuned) for pair in pairs),
@@ -110,16 +106,3 @@ def _half_width(observed: FloatArray) -> float:
 
     quantile = float(stdtrit(len(observed) - 1, (1 + CONFIDENCE) / 2))
     return quantile * float(observed.std(ddof=1)) / math.sqrt(len(observed))
-
-
-def _seed_deviation(pairs: Sequence[Pair]) -> float:
-    """Standard deviation of the base's logarithms between seeds, pooled over the logs; NaN with one seed."""
-    of_log = defaultdict[str, list[float]](list)
-    for pair in pairs:
-        if math.isfinite(pair.base):
-            of_log[pair.log].append(pair.base)
-    variances = [(np.var(of, ddof=1), len(of) - 1) for of in of_log.values() if len(of) > 1]
-    if not variances:
-        return math.nan
-    values, weights = zip(*variances, strict=True)
-    return math.sqrt(float(np.average(values, weights=weights)))

@@ -3,18 +3,18 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import asdict
 from typing import Any, Final
 
 from gridslam import __version__
-from gridslam.config import PARAMETERS, Configuration, dumps
+from gridslam.config import PARAMETERS, dumps
 from gridslam.config.tables import value_of
 from gridslam.parameters import to_table
 from gridslam.tuning.comparison import CONFIDENCE, Comparison
 from gridslam.tuning.tune import Settings, TunedLog, Tuning
 
-TUNING_SCHEMA: Final = "gridslam.tuning/3"
+TUNING_SCHEMA: Final = "gridslam.tuning/4"
 
 
 def describe_verdict(tuning: Tuning, logs: Sequence[TunedLog]) -> list[str]:
@@ -29,12 +29,11 @@ def describe_verdict(tuning: Tuning, logs: Sequence[TunedLog]) -> list[str]:
     where = "held-out logs" if held_out else "logs of the search, with other seeds"
     runs = f"{found.observations} {where}" if found.units == "logs" else f"{found.observations} runs on {where}"
     measured = f"the error of the best is {found.ratio:.3f} times that of the start ({_interval(found)}, {runs})"
-    noise = f"one seed differs from another by {100 * (found.seed_noise - 1):.1f} %"
     if tuning.gains:
         changed = ", ".join(f"{name} {_text(value)}" for name, value in tuning.best.values.items())
-        return [f"gain: {measured}; {noise}", f"values: {changed}"]
+        return [f"gain: {measured}", f"values: {changed}"]
     failed = f"; {found.failed} of its runs failed" if found.failed else ""
-    return [f"no gain: {measured}{failed}; {noise}", "the configuration that the search began with is kept"]
+    return [f"no gain: {measured}{failed}", "the configuration that the search began with is kept"]
 
 
 def to_toml(tuning: Tuning, logs: Sequence[TunedLog]) -> str:
@@ -65,7 +64,7 @@ def to_document(tuning: Tuning, settings: Settings, logs: Sequence[TunedLog], tr
             {"name": one.name, **one.search._asdict(), "start": value_of(settings.base, PARAMETERS[one.name].path)}
             for one in settings.space.dimensions
         ],
-        "start": _differences(to_table(settings.base), to_table(Configuration())),
+        "start": to_table(settings.base),
         "recommended": tuning.gains,
         "verdict": describe_verdict(tuning, logs),
         "comparison": _describe_comparison(tuning.comparison),
@@ -92,18 +91,6 @@ def _interval(found: Comparison) -> str:
 
 def _text(value: object) -> str:
     return str(value).lower()
-
-
-def _differences(table: Mapping[str, Any], default: Mapping[str, Any], above: str = "") -> dict[str, Any]:
-    """Parameters of a table that are not as in another one, by dotted names."""
-    found = dict[str, Any]()
-    for name, value in table.items():
-        usual = default.get(name)
-        if isinstance(value, dict):
-            found |= _differences(value, usual if isinstance(usual, dict) else {}, f"{above}{name}.")
-        elif value != usual:
-            found[f"{above}{name}"] = value
-    return found
 
 
 def _describe_comparison(found: Comparison | None) -> dict[str, Any] | None:

@@ -16,7 +16,6 @@ from gridslam.io.log import LogOptions
 from gridslam.parameters import to_table
 from gridslam.tuning.comparison import Comparison, Pair, compare
 from gridslam.tuning.search_space import SearchSpace, Value
-from gridslam.tuning.trial import TARGET
 from gridslam.types import FloatArray
 
 _TRIALS_PER_DIMENSION: Final = 3
@@ -24,6 +23,9 @@ _TRIALS_PER_DIMENSION: Final = 3
 
 _BATCH: Final = 8
 """Configurations that are asked for together, so that workers have something to do."""
+_TARGET: Final = "gridslam.batch.commands:run_map"
+_LOSSES: Final = {"relations": "trans_mean_m", "ate": "trans_rmse_m", "self_consistency": "nats_per_beam"}
+"""Figure of each kind of scores of `gridslam evaluate` that is the loss: m, m, nats a beam."""
 _WORST: Final = 1e6
 """Ratio that stands for a configuration that fails."""
 
@@ -271,12 +273,11 @@ class Tuner:
         arguments = {
             **parameters,
             "log": log.path,
-            "digest": log.digest,
-            "reference": log.reference,
+            "reference": log.reference or log.path,
             "max_memory_bytes": settings.max_memory_bytes,
             "threads": settings.threads,
         }
-        return Job(TARGET, arguments, log.path, f"{log.name}-{key[:16]}", key, "tune")
+        return Job(_TARGET, arguments, log.path, f"{log.name}-{key[:16]}", key, "tune")
 
 
 def load_optuna() -> Any:  # noqa: ANN401
@@ -290,7 +291,8 @@ def load_optuna() -> Any:  # noqa: ANN401
 
 
 def _loss_of(row: Mapping[str, Any]) -> float:
-    document = row["document"]
-    if row["status"] != "done" or document is None:
+    if row["status"] != "done" or row["document"] is None:
         return math.inf
-    return max(float(document["loss"]), 1e-12)  # logarithms are compared
+    scores = row["document"]["evaluation"]
+    loss = next(scores[kind][figure] for kind, figure in _LOSSES.items() if kind in scores)
+    return max(float(loss), 1e-12)  # logarithms are compared

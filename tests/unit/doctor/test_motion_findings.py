@@ -6,11 +6,10 @@ import numpy as np
 import pytest
 
 from gridslam.doctor.finding import Severity
-from gridslam.doctor.laser_motion import laser_motion
 from gridslam.doctor.motion_findings import MotionExaminer, motion_findings
 from gridslam.geometry.angles import wrap
 from support.faults import FAULTS, with_fault
-from support.laser_drives import log, perfect
+from support.laser_drives import laser_motion, log, perfect
 
 
 def faults(motion):

@@ -5,11 +5,10 @@ import math
 import numpy as np
 import pytest
 
-from gridslam.doctor.laser_motion import laser_motion
 from gridslam.geometry.se2 import between, compose
 from gridslam.io.measurement import Measurement
 from gridslam.types import LaserScan, ScanGeometry
-from support.laser_drives import EXACT, log
+from support.laser_drives import EXACT, laser_motion, log
 
 
 def errors(motion, truth, apart):

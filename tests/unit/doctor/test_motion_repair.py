@@ -11,7 +11,6 @@ from gridslam.api.mapping import map_log
 from gridslam.config import Configuration
 from gridslam.doctor import Doctor
 from gridslam.doctor.calibration import are_degrees
-from gridslam.doctor.laser_motion import laser_motion
 from gridslam.doctor.motion_findings import motion_findings
 from gridslam.doctor.repair import (
     Repair,
@@ -31,7 +30,7 @@ from gridslam.slam.grid_fastslam.grid_fastslam import GridFastSlam
 from gridslam.types import Trajectory
 from support.faults import with_fault
 from support.hand_logs import MadeLog
-from support.laser_drives import log
+from support.laser_drives import laser_motion, log
 
 FILTER_ALONE = Configuration(particles=2, loop_closure=None)
 
