@@ -26,7 +26,7 @@ class Level(IntEnum):
 
 @final
 class Messages:
-    """Messages of a run, passed to its log; problems of one kind only now and then.
+    """Messages of a run, kept for the page and passed to its log.
 
     Messages are the same if they differ only in their numbers: the newest wording is kept, and how often it came. Of
     more than 256 different ones the oldest of the least level is forgotten.
