@@ -358,4 +358,4 @@ def test_a_node_gets_the_options_that_were_given_and_no_others(monkeypatch, aske
     run = "gridslam.ros.ros2.rclpy_transport.run_rclpy"
     monkeypatch.setattr(run, lambda arguments, options: given.update(options.given))
     assert main(["ros2", *asked]) == 0
-    assert given in ({"particles": 8}, {"map_file": "map.yaml", "mode": "localization"})
+    assert given in ({"particles": 8}, {"map_file": "map.yaml"})
