@@ -5,15 +5,13 @@ from __future__ import annotations
 import re
 import threading
 import time
-from collections import Counter
+from collections import Counter, defaultdict
 from collections.abc import Callable
 from dataclasses import dataclass
 from enum import IntEnum
 from typing import Any, Final, final
 
 _NUMBER: Final = re.compile(r"\d+")
-_QUIET_S = 10.0  # after this long without it a problem is new again
-_LONGEST_S = 60.0
 _MOST = 256
 _NAMES: Final = ("info", "warning", "error")
 
@@ -28,12 +26,12 @@ class Level(IntEnum):
 
 @final
 class Messages:
-    """Keeps the messages of a run and passes them to its log: those that last less and less often.
+    """Messages of a run, kept for the page and passed to its log.
 
     Messages are the same if they differ only in their numbers: the newest wording is kept, and how often it came. Of
     more than 256 different ones the oldest of the least level is forgotten.
 
-    A problem that lasts is logged after `every_s`, then after twice that, four times, and so on up to a minute.
+    Of the problems of one kind at most one in `every_s` is logged.
 
     Parameters
     ----------
@@ -55,7 +53,7 @@ class Messages:
     def __init__(
         self,
         log: Callable[[Level, str], None],
-        every_s: float = 1.0,
+        every_s: float = 10.0,
         clock: Callable[[], float] = time.monotonic,
         now_s: Callable[[], float] = time.time,
     ) -> None:
@@ -64,7 +62,7 @@ class Messages:
         self._every_s = every_s
         self._clock = clock
         self._now_s = now_s
-        self._due: dict[str, float] = {}  # of a kind
+        self._due_s = defaultdict[str, float](float)  # of a kind
         self._kept: dict[str, _Message] = {}  # in the order of their last occurrence
         self._suppressed: Counter[str] = Counter()
         self._lock = threading.Lock()
@@ -88,12 +86,11 @@ class Messages:
         text = f"{kind}: {problem}"
         with self._lock:
             self.counts[kind] += 1
-            self._problem = same = self._keep(Level.WARN, text, now)
-            if now < max(self._due.get(kind, now), same.due_s):
+            self._problem = self._keep(Level.WARN, text, now)
+            if now < self._due_s[kind]:
                 self._suppressed[kind] += 1
                 return
-            self._due[kind] = now + self._every_s
-            same.back_off(now, self._every_s)
+            self._due_s[kind] = now + self._every_s
             suppressed = self._suppressed.pop(kind, 0)
         self._log(Level.WARN, text + (f" (and {suppressed} more before)" if suppressed else ""))
 
@@ -117,9 +114,7 @@ class Messages:
         name = _NUMBER.sub("#", text)
         kept = self._kept.pop(name, None)
         if kept is None:
-            kept = _Message(level, text, self._now_s(), now)
-        elif now - kept.seen_s > _QUIET_S:
-            kept.due_s, kept.interval_s = now, 0.0
+            kept = _Message(level, text, self._now_s())
         kept.level, kept.text, kept.last_s, kept.seen_s = level, text, self._now_s(), now
         kept.count += 1
         self._kept[name] = kept
@@ -131,22 +126,15 @@ class Messages:
 
 @dataclass(slots=True)
 class _Message:
-    """A message, its first and last time since 1970, s, and when it is due in the log again by the monotonic clock."""
+    """A message, its first and last time since 1970, s, and its last time by the monotonic clock."""
 
     level: Level
     text: str
     first_s: float
-    due_s: float
     last_s: float = 0.0
     seen_s: float = 0.0
-    interval_s: float = 0.0
     count: int = 0
     is_state: bool = False
-
-    def back_off(self, now: float, every_s: float) -> None:
-        """Set the time of the next report; the one after that takes twice as long."""
-        self.interval_s = min(max(2 * self.interval_s, every_s), _LONGEST_S)
-        self.due_s = now + self.interval_s
 
     def to_dict(self) -> dict[str, Any]:
         """Return JSON values."""

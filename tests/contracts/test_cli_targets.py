@@ -95,8 +95,7 @@ def test_where_a_session_cannot_be_saved_the_results_are_written(call, log, tmp_
     assert status == 1
     assert "gridslam: [Errno 28] No space left on device\n" in err
     assert "Traceback" not in err
-    assert str(out / "map.png") in said
-    assert str(saved) not in said
+    assert said == ""
     assert (out / "map.yaml").exists()
     assert not saved.exists()
 

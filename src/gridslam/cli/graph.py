@@ -16,16 +16,14 @@ from gridslam.io.g2o import G2oGraph, read_g2o, write_g2o
 from gridslam.io.output import OutputFolder
 from gridslam.io.text import compute_digest
 from gridslam.pipeline import Stopwatch
-from gridslam.slam.pose_graph.descent import squared_mahalanobis
 from gridslam.slam.pose_graph.graph_slam import GraphSlam, GraphSolution
 from gridslam.slam.pose_graph.robust import GraduatedNonConvexity
 from gridslam.viz import draw_graph
 
-GRAPH_SCHEMA = "gridslam.graph/1"
+GRAPH_SCHEMA = "gridslam.graph/2"
 
 _GRAPH = "graph.g2o"
 _PICTURE = "graph.png"
-_WEIGHTS = "weights.csv"
 _MIN_WEIGHT = 0.5  # an edge of a smaller weight is rejected; robust estimation drives weights to 0 or 1
 _MAX_LISTED = 10  # rejected edges in the summary
 
@@ -90,7 +88,7 @@ def _document(
         "seconds": watch.stages["solve"][0],
     }
     if rejected is not None:
-        document |= {"rejected": source.edge_ids[rejected].tolist(), "weights": _WEIGHTS}
+        document |= {"rejected": source.edge_ids[rejected].tolist(), "weights": np.round(solution.weights, 6).tolist()}
     return document
 
 
@@ -104,8 +102,6 @@ def _write(
 ) -> None:
     """Write the files, and how long that took into the document."""
     write_g2o(folder.file(_GRAPH), solution.graph, source.ids, source.order, source.is_landmark)
-    if rejected is not None:
-        _write_weights(folder.file(_WEIGHTS), source, solution)
     watch.lap("write")
     picture = draw_graph(
         solution.graph,
@@ -118,15 +114,6 @@ def _write(
     watch.lap("draw")
     document["time"] = watch.to_dict()
     folder.write_json("graph.json", document)
-
-
-def _write_weights(path: Path, source: G2oGraph, solution: GraphSolution) -> None:
-    """Write the weight and the residual of each edge, in the order of the file."""
-    chi2 = squared_mahalanobis(solution.graph, solution.graph.errors())
-    rows = zip(source.edge_ids.tolist(), solution.weights.tolist(), chi2.tolist(), strict=True)
-    with path.open("w", encoding="ascii", newline="\n") as file:
-        file.write("from,to,weight,chi2\n")
-        file.writelines(f"{first},{second},{weight:.6g},{off:.6g}\n" for (first, second), weight, off in rows)
 
 
 def _format_vertices(graph: dict[str, Any]) -> str:
@@ -162,5 +149,4 @@ def _summarize(document: dict[str, Any], out: Path) -> list[str]:
         some = ", ".join(f"{first} {second}" for first, second in rejected[:_MAX_LISTED])
         listed = (": " + some + (", ..." if len(rejected) > _MAX_LISTED else "")) if rejected else ""
         lines.insert(-1, f"rejected {len(rejected)} loop closures{listed}")
-        lines.append(f"weights: {out / _WEIGHTS}")
     return lines

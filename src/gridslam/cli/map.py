@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
-from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import Any, Literal
@@ -13,7 +12,7 @@ from gridslam.api.mapping import MapResult, map_log
 from gridslam.cli import STARTED_S
 from gridslam.cli.live import NOBODY, Viewers, open_viewers
 from gridslam.cli.options import MapOptions, name_option
-from gridslam.cli.output import counted, open_output, open_progress, print_result, write_apart
+from gridslam.cli.output import counted, open_output, open_progress, print_result
 from gridslam.cli.session_options import SessionOptions
 from gridslam.io.log import Log, open_log
 from gridslam.live.options import LiveOptions
@@ -41,7 +40,6 @@ def map_to_folder(
 
     source = check_log(open_log(log, given.options), given.options, report, is_mapped=True)
     with (
-        write_apart() as write,
         open_viewers(live, source.path.name, configuration.range_max_m, out=out, has_history=not no_history) as viewers,
         name_option(floor="--floor"),
     ):
@@ -52,13 +50,12 @@ def map_to_folder(
                 run = partial(session.add, opened)
             run = partial(run, on_finding=lambda finding: report(describe_finding(source, finding)))
             result = map_with_progress(source, run, watch, viewers, shown=not as_json, repair=given.repair)
-            is_saved = opened is None or session.save is None or write(opened.save, session.save)
             viewers.write_history(folder)
             for warning in result.warnings():
                 report(f"{log}: {warning}")
             document = result.write(folder, viewers.messages.to_list())
-        if not is_saved:
-            session = replace(session, save=None)
+        if opened is not None and session.save is not None:
+            opened.save(session.save)  # where that fails the results are there
         summary = summarize(document, result, out)
         print_result(document, [*summary, *session.summarize(opened, result)], as_json)
 

@@ -67,29 +67,6 @@ def warn(*warnings: str) -> None:
         click.echo(f"gridslam: {' '.join(warning.splitlines())}", err=True)
 
 
-@contextmanager
-def write_apart() -> Iterator[Callable[..., bool]]:
-    """Return a function that writes one of several targets, and returns whether it succeeded.
-
-    Where it could not that is reported at once, the command continues with the other targets, and fails in the end.
-    """
-    is_complete = True
-
-    def write(function: Callable[..., object], *arguments: Any) -> bool:  # noqa: ANN401
-        nonlocal is_complete
-        try:
-            function(*arguments)
-        except (OutputError, OSError) as error:
-            warn(str(error))
-            is_complete = False
-            return False
-        return True
-
-    yield write
-    if not is_complete:
-        raise click.exceptions.Exit(1)
-
-
 class _Interrupted(KeyboardInterrupt):
     """A signal that has come. Where KeyboardInterrupt itself leaves `exec`, Python ends the process by SIGINT later."""
 

@@ -11,7 +11,7 @@ import click
 from gridslam.api.merging import MergeResult, merge_sessions
 from gridslam.api.session import Session
 from gridslam.cli.options import name_option
-from gridslam.cli.output import counted, open_output, open_progress, print_result, warn, write_apart
+from gridslam.cli.output import counted, open_output, open_progress, print_result, warn
 from gridslam.io.maps import write_map
 from gridslam.io.sessions.drives import choose_name
 from gridslam.io.sessions.session_file import read_head
@@ -90,16 +90,13 @@ def _describe(content: dict[str, Any]) -> Iterator[str]:
 def merge_to_folder(files: tuple[Path, ...], out: Path, save: Path | None, threads: int, as_json: bool) -> None:
     """Merge sessions, write the results to a folder and print a summary."""
     watch = Stopwatch()
-    with write_apart() as write:
-        with (
-            open_output(out, MergeResult.all_names()) as folder,
-            open_progress(shown=not as_json) as on_progress,
-        ):
-            with name_option(paths="FILE", others="FILE"):
-                result = merge_sessions(files, threads=threads, on_progress=on_progress, stopwatch=watch)
-            is_saved = save is not None and write(result.session.save, save)
-            document = result.write(folder)
-        print_result(document, _summarize_merge(result, out, save if is_saved else None), as_json)
+    with open_output(out, MergeResult.all_names()) as folder, open_progress(shown=not as_json) as on_progress:
+        with name_option(paths="FILE", others="FILE"):
+            result = merge_sessions(files, threads=threads, on_progress=on_progress, stopwatch=watch)
+        document = result.write(folder)
+    if save is not None:
+        result.session.save(save)  # where that fails the results are there
+    print_result(document, _summarize_merge(result, out, save), as_json)
     if not result.is_joined:
         warn(f"nothing was joined: {_explain_apart(result)}")
         raise click.exceptions.Exit(1)

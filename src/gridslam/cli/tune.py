@@ -17,7 +17,7 @@ from gridslam.batch.job import Job
 from gridslam.batch.manifest import find_logs
 from gridslam.cli.batch import require_journal
 from gridslam.cli.options import MapOptions
-from gridslam.cli.output import counted, open_display, print_result, stop_if_interrupted, write_apart
+from gridslam.cli.output import counted, open_display, print_result, stop_if_interrupted
 from gridslam.errors import InputError
 from gridslam.io.limits import max_memory_bytes
 from gridslam.io.log import LogOptions, open_log
@@ -95,13 +95,11 @@ def run_tune(logs: Sequence[str], out: Path, given: MapOptions, tune: TuneOption
         tuner = Tuner(settings, chosen, run)
         tuning = tuner()
     document = to_document(tuning, settings, chosen, settings.trials)
-    with write_apart() as write:
-        write(_write_text, out, to_toml(tuning, chosen))
-        write(_write_text, folder / "tune.json", json.dumps(document, indent=1, allow_nan=False) + "\n")
-        tried = len({tuple(trial.values.items()) for trial in tuning.trials})
-        verdict = describe_verdict(tuning, chosen)
-        lines = [f"tried {counted(tried, 'configuration')}", *verdict, f"{out}; details: {folder}"]
-        print_result(document, lines, as_json)
+    _write_text(folder / "tune.json", json.dumps(document, indent=1, allow_nan=False) + "\n")
+    _write_text(out, to_toml(tuning, chosen))
+    tried = len({tuple(trial.values.items()) for trial in tuning.trials})
+    verdict = describe_verdict(tuning, chosen)
+    print_result(document, [f"tried {counted(tried, 'configuration')}", *verdict, f"{out}; details: {folder}"], as_json)
 
 
 def _find_reference(log: str) -> Path | None:

@@ -152,8 +152,8 @@ def graph_command(**options: Any) -> None:  # noqa: ANN401
 
     FILE is in g2o format, plain or compressed (.gz, .bz2).
 
-    Writes to OUT: graph.g2o (the optimized poses), graph.png, graph.json and, with --robust,
-    weights.csv.
+    Writes to OUT: graph.g2o (the optimized poses), graph.png and graph.json (with --robust the
+    weights, too).
     """
     from gridslam.cli.graph import graph_to_folder
 
