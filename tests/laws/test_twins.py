@@ -19,8 +19,6 @@ KERNELS = (
     "tiles_on_rays",
     "make_tiles_writable",
     "update",
-    "begin_update",
-    "end_update",
     "match",
     "match_pose",
     "distances",
@@ -29,12 +27,11 @@ KERNELS = (
     "max_pyramid",
     "correlate",
     "sum_at_ends",
-    "draw_scans",
     "fit_surfaces",
     "match_surfaces",
     "match_to_surfaces",
 )
-"""Those from `max_pyramid` on in the tests of branch and bound, of many scans and of surfaces."""
+"""Those from `max_pyramid` on in the tests of branch and bound and of surfaces."""
 SEEDS = range(10)
 CELL = 0.05
 SINGLE = 4e-4
@@ -135,6 +132,16 @@ def test_nothing_is_touched_without_poses():
         assert none.shape == (0, 3)
 
 
+def reserve(arena, count):
+    """Have `count` free pages and tiles at least."""
+    while min(map(len, arena.free_ids)) < count:
+        pages, tiles = arena.free_ids
+        arena._free_pages = arena._free_tiles = np.zeros(0, np.int32)
+        arena.grow()
+        arena._free_pages = np.concatenate([arena._free_pages, pages])
+        arena._free_tiles = np.concatenate([arena._free_tiles, tiles])
+
+
 @pytest.mark.parametrize("few", [3, 1000])
 @pytest.mark.parametrize("seed", SEEDS)
 def test_owned_tiles(seed, few):
@@ -145,7 +152,7 @@ def test_owned_tiles(seed, few):
     keep = maps.snapshot()
     maps._cover(poses, beams_to(ends))
     touched = compiled.tiles_on_rays(ROWS, poses, ends, ORIGIN, CELL, 1)
-    maps._arena.reserve(8, 64)
+    reserve(maps._arena, 64)
     pages, tiles = maps._arena.free_ids
     results = []
     for kernels in (compiled, reference):
@@ -179,14 +186,6 @@ def with_numbers_in_order(view):
     return (roots > 0, tiles > 0, log_odds[0], field[0], log_odds[own], field[own])
 
 
-def update_in_background(*arguments):
-    return compiled.end_update(compiled.begin_update(*arguments))
-
-
-WAYS = [(compiled.update, 1), (compiled.update, 2), (update_in_background, 2), (update_in_background, 3)]
-"""Of the kernel, with numbers of threads."""
-
-
 @pytest.mark.parametrize("seed", SEEDS)
 def test_updates(seed):
     """The maps are the same, and as many ids are taken; each tile's number is its kernel's own."""
@@ -195,9 +194,9 @@ def test_updates(seed):
     for poses, ends in ((random_poses(rng), random_ends(rng)) for _ in range(3)):
         keep = maps.snapshot()
         maps._cover(poses, beams_to(ends))
-        maps._arena.reserve(100, 4000)
+        reserve(maps._arena, 4000)
         found = []
-        for update, threads in [(reference.update, 1), *WAYS]:
+        for update, threads in [(reference.update, 1), (compiled.update, 1), (compiled.update, 2)]:
             view, arguments = copies(maps._view), copies(arguments_of_update(maps, poses, ends, threads=threads))
             status, pages, tiles, left, pending = update(*view, *arguments)
             assert (status, left.shape, pending.shape) == (0, (0,), (0, 4))
@@ -267,21 +266,6 @@ def test_no_more_tiles_are_crossed_than_there_is_room_for():
         assert_same_maps(view, maps._view)
         arguments = copies(arguments_of_update(maps, poses, ends, room=crossed))
         assert kernels.update(*view, *arguments)[0] == 0
-
-
-def test_what_might_be_refused_is_not_begun():
-    maps = random_maps(np.random.default_rng(0))
-    poses, ends = np.zeros((3, 3)), np.array([[3.0, 0.0], [0.0, -4.0]])
-    maps._cover(poses, beams_to(ends))
-    for kernels in (compiled, reference):
-        for others in ({"room": 1}, {"poses": np.full((3, 3), 1e6)}):
-            given = {"poses": poses, **others}
-            view, arguments = copies(maps._view), copies(arguments_of_update(maps, ends=ends, threads=2, **given))
-            assert kernels.begin_update(*view, *arguments) is None
-            assert_same_maps(view, maps._view)
-        begun = kernels.begin_update(*copies(maps._view), *copies(arguments_of_update(maps, poses, ends, threads=2)))
-        assert begun is not None
-        del begun  # waits for it
 
 
 def test_updates_meet_every_case():

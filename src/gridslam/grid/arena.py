@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from typing import Any, TypeVar, final
 
 import numpy as np
@@ -45,7 +44,7 @@ class TileArena:
     """
 
     __slots__ = (
-        *("_end_update", "_free_pages", "_free_tiles"),
+        *("_free_pages", "_free_tiles"),
         *("field", "log_odds", "page_refs", "pages", "tile_refs", "unit"),
     )
 
@@ -59,7 +58,6 @@ class TileArena:
         self.tile_refs = np.zeros(64, np.int32)
         self._free_pages: Int32Array = np.arange(7, 0, -1, dtype=np.int32)
         self._free_tiles: Int32Array = np.arange(63, 0, -1, dtype=np.int32)
-        self._end_update: Callable[[TileArena], object] | None = None
 
     @classmethod
     def from_arrays(
@@ -97,31 +95,6 @@ class TileArena:
         arena.tile_refs = _count_uses("pages", pages, len(log_odds))
         arena._free_pages = arena._free_tiles = np.zeros(0, np.int32)
         return arena
-
-    def end_later(self, end: Callable[[TileArena], object]) -> None:
-        """Leave an update to the kernels' threads: until it is ended, nothing here may be read or written."""
-        self._end_update = end
-
-    def end_update(self) -> None:
-        """Wait until the update that is under way, if any, has ended."""
-        if self._end_update is not None:
-            end, self._end_update = self._end_update, None
-            end(self)
-
-    def reserve(self, pages: int, tiles: int) -> None:
-        """Have this number of pages and tiles that nothing uses, in memory that grows in place."""
-        new_pages, new_tiles = pages - len(self._free_pages), tiles - len(self._free_tiles)
-        if new_pages > 0:
-            first, size = len(self.page_refs), len(self.page_refs) + new_pages
-            self.pages = self._extend(self.pages, size)
-            self.page_refs.resize(size, refcheck=False)
-            self._free_pages = np.concatenate([_count_down(first, size), self._free_pages])
-        if new_tiles > 0:
-            first, size = len(self.tile_refs), len(self.tile_refs) + new_tiles
-            self.log_odds = self._extend(self.log_odds, size)
-            self.field = self._extend(self.field, size)
-            self.tile_refs.resize(size, refcheck=False)
-            self._free_tiles = np.concatenate([_count_down(first, size), self._free_tiles])
 
     @property
     def tiles_used(self) -> int:

@@ -16,7 +16,6 @@ from gridslam.errors import ArgumentError
 from gridslam.geometry.single_pose import Information, Pose
 from gridslam.grid.arena import TileArena, renumber
 from gridslam.grid.cells import LOG_ODDS_UNIT, Evidence, cell_corner
-from gridslam.grid.scan_batch import NOT_WEIGHED, ScanBatch, Weighing
 from gridslam.kernels import FARTHEST, MOST_BEAM_CELLS, NO_ROOM, OUTSIDE, PAGE, TILE, UNKNOWN, backend
 from gridslam.kernels.reference_maps import Updated
 from gridslam.kernels.reference_update import unknown_of
@@ -28,22 +27,12 @@ MOST_CELLS = 2**31
 MOST_TILES = 500_000
 """Tiles of all maps together where nothing else is asked for: 1 GB, or 1.5 (`Evidence.byte_unit`)."""
 
-_SPARE_PAGES = 8
-_SPARE_TILES = 64
-"""Free ones that are made at a time where scans are drawn. A page is 1 KB, a tile 2 or 3."""
-_TILES_PER_SCAN = 8
-_MOST_RESERVED = 256
-"""Made at once for many scans: where the free ones run out, a scan is looked at twice."""
-_MOST_SPARE = 64 * _SPARE_TILES
-"""Of tiles for one scan, 100 m x 100 m; one that might take more is drawn alone."""
-
 _Table = tuple[Int32Array, tuple[int, int]]
 
 _ORIGIN = np.zeros(3)
 _PAGE_CELLS = PAGE * TILE
 _RowNumbers = Annotated[Rows, "K", index_of("self")]
 _Row = Annotated[int, index_of("self")]
-_Scan = Annotated[int, Limits(0, "K")]
 _Side = Annotated[int, Limits(TILE, 2**16)]
 _NOTHING_PENDING = np.zeros((0, 4), np.int32)
 _MOST_ENTRIES = 2**24  # of the tables of all maps together: 67 MB
@@ -117,12 +106,12 @@ def _make_cone(reach_cells: float) -> NDArray[np.uint8]:
 
 @final
 class _ScanUpdate:
-    """A scan that is inserted into maps `rows` (K,) at poses (K, 3), at once or in the background.
+    """A scan that is inserted into maps `rows` (K,) at poses (K, 3).
 
     `scan` is what the kernel is given from the ends of the beams on; a table is that of `TileMaps`, and its corner.
     """
 
-    __slots__ = ("_begun", "_poses", "_rows", "_scan", "_table")
+    __slots__ = ("_poses", "_rows", "_scan")
 
     def __init__(self, rows: Rows, poses: FloatArray, scan: tuple[Any, ...]) -> None:
         self._rows = rows
@@ -132,18 +121,6 @@ class _ScanUpdate:
     def run(self, arena: TileArena, table: _Table, room: int) -> int:
         """Insert the scan; OUTSIDE or NO_ROOM where that was refused, and nothing was written."""
         return self._go_on(arena, table, backend.update(*self._arguments(arena, table, _NOTHING_PENDING, room)))
-
-    def begin(self, arena: TileArena, table: _Table, room: int) -> bool:
-        """Begin in the background, unless it might be refused; then the arena is left alone until `end`."""
-        self._table = table
-        self._begun = backend.begin_update(*self._arguments(arena, table, _NOTHING_PENDING, room))
-        return self._begun is not None
-
-    def end(self, arena: TileArena) -> None:
-        """Wait until the update has ended."""
-        updated = backend.end_update(self._begun)
-        self._begun = None
-        self._go_on(arena, self._table, updated)
 
     def _go_on(self, arena: TileArena, table: _Table, updated: Updated) -> int:
         """Make more ids as long as they do not suffice."""
@@ -192,10 +169,10 @@ class TileMaps:
     """
 
     __slots__ = (
+        "_arena",
         "_cone",
         "_first",
         "_roots",
-        "_shared_arena",
         "evidence",
         "most_tiles",
         "reach_cells",
@@ -224,14 +201,14 @@ class TileMaps:
         self.evidence = evidence
         self.threads = threads
         self.most_tiles = most_tiles
-        self._shared_arena = TileArena(evidence.byte_unit)
+        self._arena = TileArena(evidence.byte_unit)
         self._roots: Int32Array = np.zeros((rows, 1, 1), np.int32)
         self._first = (0, 0)
         self._cone = _make_cone(reach_cells)
 
     def __del__(self) -> None:
         """Give the tiles back, so that other maps over the same arena stop copying them."""
-        if hasattr(self, "_shared_arena") and hasattr(self, "_roots"):
+        if hasattr(self, "_arena") and hasattr(self, "_roots"):
             self._arena.release(self._roots)
 
     def __len__(self) -> int:
@@ -255,14 +232,7 @@ class TileMaps:
     @property
     def nbytes(self) -> int:
         """Bytes held by the arena and this table."""
-        return self._shared_arena.nbytes + self._roots.nbytes  # which no update changes that is under way
-
-    @property
-    def _arena(self) -> TileArena:
-        """The arena when no update is under way: then the table describes the maps."""
-        arena = self._shared_arena
-        arena.end_update()
-        return arena
+        return self._arena.nbytes + self._roots.nbytes
 
     @property
     def _view(self) -> tuple[Any, ...]:
@@ -290,13 +260,13 @@ class TileMaps:
 
     def shares_tiles(self, other: TileMaps) -> bool:
         """Return whether ids of tiles mean the same in both."""
-        return self._shared_arena is other._shared_arena
+        return self._arena is other._arena
 
     def copy(self) -> TileMaps:
         """Return all maps in memory of their own, which another thread may use."""
         arena = copy.deepcopy(self._arena)
         twin = copy.copy(self)
-        twin._shared_arena, twin._roots = arena, self._roots.copy()
+        twin._arena, twin._roots = arena, self._roots.copy()
         return twin
 
     def select(self, parents: Annotated[Rows, "M", index_of("self")]) -> None:
@@ -331,9 +301,6 @@ class TileMaps:
         room = self.most_tiles - arena.tiles_used
         scan = beams.ends, beams.origin, self.resolution_m, *self._steps, self._cone, 2 * self.reach_m, self.threads
         update = _ScanUpdate(rows, poses, scan)
-        if self.threads > 1 and update.begin(arena, (self._roots, self._first), room):
-            arena.end_later(update.end)
-            return
         status = update.run(arena, (self._roots, self._first), room)
         if status == OUTSIDE:
             self._cover(poses, beams)
@@ -343,43 +310,6 @@ class TileMaps:
                 backend.tiles_on_rays(rows, poses, beams.ends, beams.origin, self.resolution_m, self.threads)
             )
             update.run(arena, (self._roots, self._first), -1)
-
-    def draw(
-        self,
-        poses: Poses,
-        batch: ScanBatch,
-        first: Annotated[int, index_of("K")],
-        last: Annotated[int, Limits(0, "K")],
-        weighing: Weighing = NOT_WEIGHED,
-    ) -> None:
-        """Insert scans `first` to `last` - 1 of a batch, at poses (K, 3), into the one map, as `update` does.
-
-        Scans of the batch are weighed between two of them, each when those that count are drawn (see `Weighing`).
-        """
-        arena = self._arena
-        if first == last:
-            return
-        self._cover(poses[first:last], batch)
-        arena.reserve(_SPARE_PAGES, min(_TILES_PER_SCAN * (last - first), _MOST_RESERVED))
-        spare = 0
-        while True:
-            pages, tiles, done = backend.draw_scans(
-                *self._view,
-                *(arena.page_refs, arena.tile_refs, *arena.free_ids, poses, *batch, first, last, self.resolution_m),
-                *(self._steps, self._cone, self.most_tiles - self.tiles_used),
-                *(weighing.after, weighing.weights, self.reach_cells, weighing.scale_m),
-            )
-            arena.allocate(pages, tiles)
-            first += done
-            if first == last:
-                return
-            spare = 0 if done else 2 * spare
-            if spare > _MOST_SPARE:  # for a single scan; or it takes more than there may be
-                self.update(np.zeros(1, np.int32), poses[first : first + 1], batch.scan(first))
-                first += 1
-                spare = 0
-            spare = max(spare, _SPARE_TILES, len(arena.tile_refs) // 16)
-            arena.reserve(_SPARE_PAGES, spare)
 
     def limit(self, log_odds: float) -> None:
         """Limit the log-odds of all known cells of all maps to `log_odds` nats, so that less evidence can change them.
@@ -593,7 +523,7 @@ class TileMaps:
             threads=threads,
             most_tiles=most_tiles,
         )
-        maps._shared_arena = arena
+        maps._arena = arena
         maps._roots = roots.copy()
         maps._first = (corners[0], corners[1])
         return maps
@@ -628,7 +558,7 @@ class TileMaps:
             tiles_to_write = tiles_to_write[done:]
             arena.grow()
 
-    def _cover(self, poses: FloatArray, beams: BeamEnds | ScanBatch) -> None:
+    def _cover(self, poses: FloatArray, beams: BeamEnds) -> None:
         """Extend the tables to every cell that the scan can write; raises ArgumentError where that is impossible."""
         reach_m = beams.reach_m
         if not reach_m <= MOST_BEAM_CELLS * self.resolution_m:

@@ -9,11 +9,9 @@
 
 #include <memory>
 #include <numeric>
-#include <optional>
 #include <vector>
 
 #include "correlate.hpp"
-#include "several_scans.hpp"
 #include "surfaces.hpp"
 #include "update.hpp"
 
@@ -162,51 +160,6 @@ auto py_update(GRIDSLAM_MAPS, GRIDSLAM_UPDATE) {
     status = update(insertion, earlier, margin_m, room, threads);
   }
   return result_of(status, insertion, free_pages, free_tiles);
-}
-
-// An insertion that goes on in the background, and the arrays that it reads and writes.
-struct BackgroundUpdate {
-  std::tuple<Roots, Pages, StoredLogOdds, Field, Array<int32_t, 1>, Array<int32_t, 1>, Points, Pair> kept;
-  Rows free_pages, free_tiles;
-  int threads;
-  Insertion insertion;
-  std::optional<BackgroundWork> work;  // ends before what it works at
-
-  void begin() {
-    work.emplace([](void* self) { static_cast<BackgroundUpdate*>(self)->work_at(); }, this);
-  }
-  void work_at() { insertion.work_in_threads(threads - 1); }
-  void end() {
-    insertion.work();
-    work.reset();
-  }
-};
-
-// None where it cannot be known at once that the maps hold the scan.
-nb::object py_begin_update(GRIDSLAM_MAPS, GRIDSLAM_UPDATE) {
-  require_rows(rows, poses.shape(0), roots.shape(0));
-  auto begun = std::unique_ptr<BackgroundUpdate>(
-      new BackgroundUpdate{{roots, pages, log_odds, field, page_refs, tile_refs, ends, origin},
-                           free_pages,
-                           free_tiles,
-                           threads,
-                           Insertion(GRIDSLAM_INSERTION),
-                           std::nullopt});
-  if (pending.shape(0) != 0 || !begun->insertion.is_covered(margin_m) || !begun->insertion.fits(room, false, threads))
-    return nb::none();
-  begun->begin();
-  nb::capsule handle(begun.get(), [](void* p) noexcept { delete static_cast<BackgroundUpdate*>(p); });
-  begun.release();
-  return handle;
-}
-
-auto py_end_update(nb::capsule begun) {
-  auto& update = *static_cast<BackgroundUpdate*>(begun.data());
-  {
-    nb::gil_scoped_release release;
-    update.end();
-  }
-  return result_of(0, update.insertion, update.free_pages, update.free_tiles);
 }
 
 auto py_match(GRIDSLAM_MAPS, Rows rows, Poses guesses, Priors priors, Points ends, double resolution,
@@ -381,37 +334,6 @@ auto py_match_to_surfaces(Points points, Points normals, Vector bearings, Starts
   return std::make_tuple(guess, count);
 }
 
-Scans scans_of(const Poses& poses, const Points& ends, const Starts& starts, const Points& origins) {
-  const size_t k = poses.shape(0);
-  require(origins.shape(0) == k, "starts, origins: expected those of as many scans as poses");
-  require_starts(starts, k, ends.shape(0));
-  return {poses.data(), ends.data(), starts.data(), origins.data(), static_cast<int>(poses.shape(0))};
-}
-
-auto py_draw_scans(GRIDSLAM_MAPS, Array<int32_t, 1> page_refs, Array<int32_t, 1> tile_refs, Rows free_pages,
-                   Rows free_tiles, Poses poses, Points ends, Starts starts, Points origins, int begin, int end,
-                   double resolution, std::array<int, 5> steps, Array<const uint8_t, 2> cone, int64_t room,
-                   Starts weighed_after, Array<float, 1> weights, double reach_cells, double scale_m) {
-  const Maps m = view(roots, first, pages, log_odds, field);
-  const Scans scans = scans_of(poses, ends, starts, origins);
-  require(begin >= 0 && begin <= end && end <= scans.n && roots.shape(0) > 0,
-          "begin, end: expected scans of the batch");
-  require(weights.shape(0) == (weighed_after.shape(0) ? ends.shape(0) : 0) && weighed_after.shape(0) <= poses.shape(0),
-          "weights: expected one for each beam");
-  const FreeTiles spare{page_refs.data(),  tile_refs.data(),
-                        free_pages.data(), static_cast<int64_t>(free_pages.shape(0)),
-                        free_tiles.data(), static_cast<int64_t>(free_tiles.shape(0))};
-  const Weighing weighing{weighed_after.data(), static_cast<int>(weighed_after.shape(0)), reach_cells, scale_m,
-                          weights.data()};
-  Drawn drawn;
-  {
-    nb::gil_scoped_release release;
-    drawn = draw_scans(m, spare, scans, begin, end, resolution, {steps[0], steps[1], steps[2], steps[3], steps[4]},
-                       cone.data(), static_cast<int>(cone.shape(0) / 2), room, weighing);
-  }
-  return std::make_tuple(drawn.pages, drawn.tiles, drawn.scans);
-}
-
 auto py_max_pyramid(Field field, Array<const int32_t, 2> ids, Array<const uint8_t, 1> likelihood) {
   const size_t rows = ids.shape(0) * kTile + 2 * kTop, cols = ids.shape(1) * kTile + 2 * kTop;
   auto cells = fresh<uint8_t, 2>({rows, cols}), nodes = fresh<uint8_t, 2>({rows, cols});
@@ -452,8 +374,6 @@ NB_MODULE(_compiled, m) {
   m.def("make_tiles_writable", &py_make_tiles_writable, GRIDSLAM_MAPS_ARGS, nb::arg("page_refs").noconvert(),
         nb::arg("tile_refs").noconvert(), "free_pages"_a, "free_tiles"_a, "tiles_to_write"_a);
   m.def("update", &py_update, GRIDSLAM_MAPS_ARGS, GRIDSLAM_UPDATE_ARGS);
-  m.def("begin_update", &py_begin_update, GRIDSLAM_MAPS_ARGS, GRIDSLAM_UPDATE_ARGS);
-  m.def("end_update", &py_end_update, "begun"_a);
   m.def("match", &py_match, GRIDSLAM_MAPS_ARGS, "rows"_a, "guesses"_a, "priors"_a, "ends"_a, "resolution"_a,
         "max_iterations"_a, "cauchy_cells"_a, "max_step_cells"_a, "max_step_rad"_a, "stop_cells"_a, "stop_rad"_a,
         "reach_cells"_a, "min_information"_a, "point_to_line"_a, "threads"_a);
@@ -472,10 +392,6 @@ NB_MODULE(_compiled, m) {
         "poses"_a, "own_points"_a, "own_normals"_a, "guess"_a, "prior"_a, "gates_m"_a, "scale_m"_a,
         "least_information"_a);
   m.def("sum_at_ends", &py_sum_at_ends, "patches"_a, "corner"_a, "resolution"_a, "poses"_a, "ends"_a, "threads"_a);
-  m.def("draw_scans", &py_draw_scans, GRIDSLAM_MAPS_ARGS, nb::arg("page_refs").noconvert(),
-        nb::arg("tile_refs").noconvert(), "free_pages"_a, "free_tiles"_a, "poses"_a, "ends"_a, "starts"_a, "origins"_a,
-        "begin"_a, "end"_a, "resolution"_a, "steps"_a, "cone"_a, "room"_a, "weighed_after"_a,
-        nb::arg("weights").noconvert(), "reach_cells"_a, "scale_m"_a);
   m.def("max_pyramid", &py_max_pyramid, "field"_a, "ids"_a, "likelihood"_a);
   m.def("correlate", &py_correlate, "cells"_a, "nodes"_a, "top"_a, "ends"_a, "headings"_a, "window"_a, "centre"_a,
         "information"_a, "distance"_a, "count"_a, "min_sum"_a, "min_runner_up_ratio"_a, "min_distance_cells"_a,

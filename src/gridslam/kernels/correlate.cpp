@@ -2,50 +2,12 @@
 // node's maxima bounds the score of every pose in it, so the first single pose that comes out of the queue is the best.
 
 #include <bit>
-#include <cstring>
 
 #include "correlate.hpp"
 
 namespace gridslam {
 
 constexpr int kTopBits = std::countr_zero(static_cast<unsigned>(kTop));
-
-// Cell x of a row goes to place x / 8 of row x % 8 of those that begin `apart` from each other, 64 cells at a time;
-// returns how many places of each are filled.
-static int split_by_eight(const uint8_t* in, int n, uint8_t* out, int64_t apart) {
-  static_assert(std::endian::native == std::endian::little, "the order of bytes in a word is that of the cells");
-  const auto exchange = [](uint64_t& a, uint64_t& b, int shift, uint64_t mask) {
-    const uint64_t differ = ((a >> shift) ^ b) & mask;
-    a ^= differ << shift, b ^= differ;
-  };
-  int done = 0;
-  for (; (done + 8) * 8 <= n; done += 8) {
-    uint64_t w[8];
-    std::memcpy(w, in + done * 8, sizeof(w));
-    for (int k = 0; k < 4; ++k) exchange(w[k], w[k + 4], 32, 0x00000000ffffffffu);
-    for (int k : {0, 1, 4, 5}) exchange(w[k], w[k + 2], 16, 0x0000ffff0000ffffu);
-    for (int k : {0, 2, 4, 6}) exchange(w[k], w[k + 1], 8, 0x00ff00ff00ff00ffu);
-    for (int k = 0; k < 8; ++k) std::memcpy(out + k * apart + done, w + k, sizeof(uint64_t));
-  }
-  return done;
-}
-
-GRIDSLAM_VERSIONS static void halve(const uint8_t* GRIDSLAM_RESTRICT in, int n, uint8_t* GRIDSLAM_RESTRICT even,
-                                    uint8_t* GRIDSLAM_RESTRICT odd) {
-  for (int x = 0; x < n; ++x) even[x] = in[2 * x], odd[x] = in[2 * x + 1];
-}
-
-// The same by sixteen: cell x goes to place x / 16 of row x % 16. `halves` takes n values, n even.
-static void split_by_sixteen(const uint8_t* in, int n, uint8_t* halves, uint8_t* out, int64_t apart) {
-  static_assert(kTop == 16);
-  halve(in, n / 2, halves, halves + n / 2);
-  for (int odd : {0, 1}) {
-    const uint8_t* half = halves + odd * (n / 2);
-    uint8_t* first = out + odd * apart;
-    for (int x = 8 * split_by_eight(half, n / 2, first, 2 * apart); x < n / 2; ++x)
-      first[(x % 8) * 2 * apart + x / 8] = half[x];
-  }
-}
 
 GRIDSLAM_VERSIONS static void maxima(const uint8_t* GRIDSLAM_RESTRICT a, const uint8_t* GRIDSLAM_RESTRICT b, int n,
                                      uint8_t* GRIDSLAM_RESTRICT out) {
@@ -90,19 +52,12 @@ class SquareMaxima {
   std::vector<uint8_t> rows_, high_ = std::vector<uint8_t>(cols_ + kTop), top_ = std::vector<uint8_t>(cols_);
 };
 
-// A row of a map's likelihoods; of eight that are far from all, as most are, at once.
+// A row of a map's likelihoods.
 void look_up_row(const uint8_t* field, const int32_t* ids, int tile_cols, int inside, const uint8_t* likelihood,
                  uint8_t* out) {
-  for (int t = 0; t < tile_cols; ++t) {
+  for (int t = 0; t < tile_cols; ++t, out += kTile) {
     const uint8_t* cells = field + static_cast<int64_t>(ids[t]) * kTileCells + inside * kTile;
-    for (int x0 = 0; x0 < kTile; x0 += 8, cells += 8, out += 8) {
-      uint64_t eight;
-      std::memcpy(&eight, cells, sizeof(eight));
-      if (!eight)
-        std::fill_n(out, 8, likelihood[0]);
-      else
-        for (int x = 0; x < 8; ++x) out[x] = likelihood[cells[x]];
-    }
+    for (int x = 0; x < kTile; ++x) out[x] = likelihood[cells[x]];
   }
 }
 
@@ -112,7 +67,6 @@ void max_pyramid(const uint8_t* field, const int32_t* ids, int tile_rows, int ti
                  const Pyramid<uint8_t>& out) {
   std::fill_n(out.top, kTop * kTop * out.phase_size(), uint8_t{0});
   SquareMaxima squares(out.cols);
-  std::vector<uint8_t> halves(out.cols);
   for (int y = out.rows - 1; y >= 0; --y) {
     uint8_t* cells = out.cells + out.index(y, 0);
     std::fill_n(cells, out.cols, uint8_t{0});
@@ -123,7 +77,7 @@ void max_pyramid(const uint8_t* field, const int32_t* ids, int tile_rows, int ti
     squares.add(y, cells);
     std::copy_n(squares.nodes(y), out.cols, out.nodes + out.index(y, 0));
     uint8_t* first = out.phase(y, 0) + static_cast<int64_t>(y / kTop) * out.stride();
-    split_by_sixteen(squares.top(), out.cols, halves.data(), first, out.phase_size());
+    for (int x = 0; x < out.cols; ++x) first[(x % kTop) * out.phase_size() + x / kTop] = squares.top()[x];
   }
 }
 

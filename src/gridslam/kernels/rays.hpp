@@ -30,12 +30,6 @@ class TileSet {
   std::vector<uint8_t> marks_;
 };
 
-// Tiles of some rows and columns, both ends included.
-struct TileBox {
-  int y0, y1, x0, x1;
-  int64_t tiles() const { return static_cast<int64_t>(y1 - y0 + 1) * (x1 - x0 + 1); }
-};
-
 // The cells of a scan as seen from one pose: where the laser is, and where the beams end.
 struct Fan {
   int x = 0, y = 0;
@@ -50,8 +44,6 @@ struct Fan {
     for (size_t j = 0; j < xs.size(); ++j) most = std::max({most, std::abs(xs[j] - x), std::abs(ys[j] - y)});
     return most;
   }
-  // The tiles about all lines.
-  TileBox box() const;
   // The tiles that the lines cross where they free cells, and those of their ends.
   void tiles(TileSet& set) const;
 };

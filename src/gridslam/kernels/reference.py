@@ -22,14 +22,12 @@ of the map of each pose, each map at most once where the kernel writes. `threads
 from __future__ import annotations
 
 import math
-from functools import partial
 from typing import Any, NamedTuple, final
 
 import numpy as np
 from numpy.typing import NDArray
 
-from gridslam.kernels import reference_scans
-from gridslam.kernels.reference_maps import begin_update, end_update, update
+from gridslam.kernels.reference_maps import update
 from gridslam.kernels.reference_surfaces import fit_surfaces, match_surfaces, match_to_surfaces
 from gridslam.kernels.reference_update import (
     FARTHEST,
@@ -49,12 +47,9 @@ from gridslam.kernels.reference_update import (
 )
 
 __all__ = [
-    "begin_update",
     "cast_rays",
     "correlate",
     "distances",
-    "draw_scans",
-    "end_update",
     "fit_surfaces",
     "known_cells",
     "make_tiles_writable",
@@ -592,6 +587,3 @@ def _within(
     away[..., 2] = heading - centre[2]
     inside: NDArray[np.bool_] = np.einsum("yxi,ij,yxj->yx", away, information, away) <= distance * distance
     return inside
-
-
-draw_scans = partial(reference_scans.draw_scans, distances, known_cells)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from typing import Any, TypeAlias
+from typing import TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
@@ -116,20 +116,6 @@ def update(
         update_field(*view, changed, cone, threads)
         changed = none
     return result(0, everything[:0], changed)
-
-
-def begin_update(*arguments: Any) -> Updated | None:  # noqa: ANN401 (those of `update`)
-    """Begin `update` in the background; return None where it is not known at once that the maps cover the scan.
-
-    Here it is done at once. What it reads and writes must be left alone until `end_update`.
-    """
-    updated = update(*arguments)
-    return None if updated[0] < 0 else updated
-
-
-def end_update(begun: Updated) -> Updated:
-    """Help with the pending update, wait for it, and return the result of `update`."""
-    return begun
 
 
 def _covers(

@@ -51,18 +51,13 @@ void Fan::see(const Pose& pose, const double* ends, int b, const double* origin,
   lines(pose, ends, b, scale, x, y, xs.data(), ys.data(), slopes.data());
 }
 
-TileBox Fan::box() const {
+void Fan::tiles(TileSet& set) const {
   int x_min = x, x_max = x, y_min = y, y_max = y;
   for (size_t j = 0; j < xs.size(); ++j) {
     x_min = std::min(x_min, xs[j]), x_max = std::max(x_max, xs[j]);
     y_min = std::min(y_min, ys[j]), y_max = std::max(y_max, ys[j]);
   }
-  return {y_min >> kTileBits, y_max >> kTileBits, x_min >> kTileBits, x_max >> kTileBits};
-}
-
-void Fan::tiles(TileSet& set) const {
-  const TileBox about = box();
-  set.reset(about.y0, about.y1, about.x0, about.x1);
+  set.reset(y_min >> kTileBits, y_max >> kTileBits, x_min >> kTileBits, x_max >> kTileBits);
   for (size_t j = 0; j < xs.size(); ++j)
     if (j == 0 || xs[j] != xs[j - 1] || ys[j] != ys[j - 1]) mark(line(j), set);
 }

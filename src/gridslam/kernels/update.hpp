@@ -50,25 +50,19 @@ class Insertion {
   bool follow_earlier(const std::vector<Cell>& earlier);
   // Whether the tables hold whatever may be written.
   bool is_covered(double margin_m) const;
-  // Whether the tiles that the rays cross are not more than `room`, any number where that is negative; unless counted
-  // exactly some are taken to be crossed that are not.
-  bool fits(int64_t room, bool exactly, int threads) const;
-  // Inserts the scan into maps that no other thread has taken, until none is left.
-  void work();
-  void work_in_threads(int threads) {
-    threads = std::min(threads, maps());
-    if (threads <= 1) return work();
-    run_in_threads(threads - 1, [](void* self) { static_cast<Insertion*>(self)->work(); }, this);
+  // Whether the tiles that the rays cross are not more than `room`, any number where that is negative.
+  bool fits(int64_t room, int threads) const;
+  // Inserts the scan into all maps.
+  void run(int threads) {
+    parallel_for(maps(), threads, [this](int i) { insert(order_[static_cast<size_t>(i)]); });
   }
-  // Places of the maps that were not written for want of ids, when all work has ended.
+  // Places of the maps that were not written for want of ids.
   std::vector<int32_t> left() const;
 
  private:
   void insert(int i);
   void see(int i, Fan& fan) const;
   bool own_all(int row, const TileSet& tiles);
-  template <class Count>
-  int64_t sum(int threads, const Count& count) const;
 
   const Maps m_;
   const std::vector<int32_t> rows_;
@@ -79,7 +73,6 @@ class Insertion {
   std::vector<int> order_;  // by heading: the rays of poses that follow each other are often the same
   std::vector<uint8_t> is_written_;
   std::mutex ids_;
-  SharedLoop loop_;
 };
 // Lets fields follow what is pending from a call before, then inserts the scan. Returns 0; or kOutside if the tables do
 // not hold what may be written, kNoRoom if more tiles than `room` are crossed: nothing was inserted then.

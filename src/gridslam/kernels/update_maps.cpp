@@ -48,8 +48,7 @@ Insertion::Insertion(const Maps& m, const Arena& ids, const int32_t* rows, const
       e_(e),
       cone_(cone, reach),
       order_(k),
-      is_written_(k),
-      loop_(k) {
+      is_written_(k) {
   std::iota(order_.begin(), order_.end(), 0);
   const auto heading = [&](int i) {  // a NaN, which is refused later, has no order
     const double theta = poses_[3 * static_cast<size_t>(i) + 2];
@@ -77,30 +76,18 @@ bool Insertion::is_covered(double margin_m) const {
   return covers(m_, poses_.data(), maps(), reach_of(scan_), margin_m, scan_.resolution);
 }
 
-template <class Count>
-int64_t Insertion::sum(int threads, const Count& count) const {
-  std::atomic<int64_t> tiles{0};
-  parallel_for(maps(), threads, [&](int i) {
-    thread_local Fan fan;
-    see(i, fan);
-    tiles.fetch_add(count(fan), std::memory_order_relaxed);
-  });
-  return tiles;
-}
-
-bool Insertion::fits(int64_t room, bool exactly, int threads) const {
+bool Insertion::fits(int64_t room, int threads) const {
   const double side = 2 * reach_of(scan_) / (scan_.resolution * kTile) + 2;
   if (room < 0 || maps() * side * side <= static_cast<double>(room)) return true;
-  if (sum(threads, [](const Fan& fan) { return fan.box().tiles(); }) <= room) return true;
-  return exactly && sum(threads, [](const Fan& fan) {
-                      thread_local TileSet crossed;
-                      fan.tiles(crossed);
-                      return crossed.count();
-                    }) <= room;
-}
-
-void Insertion::work() {
-  loop_.work([this](int i) { insert(order_[i]); });
+  std::atomic<int64_t> tiles{0};
+  parallel_for(maps(), threads, [&](int i) {
+    Fan fan;
+    TileSet crossed;
+    see(i, fan);
+    fan.tiles(crossed);
+    tiles += crossed.count();
+  });
+  return tiles <= room;
 }
 
 void Insertion::insert(int i) {
@@ -138,7 +125,6 @@ bool Insertion::own_all(int row, const TileSet& tiles) {
 }
 
 std::vector<int32_t> Insertion::left() const {
-  loop_.rethrow();
   std::vector<int32_t> found;
   for (int i = 0; i < maps(); ++i)
     if (!is_written_[i]) found.push_back(i);
@@ -148,8 +134,8 @@ std::vector<int32_t> Insertion::left() const {
 int update(Insertion& insertion, const std::vector<Cell>& earlier, double margin_m, int64_t room, int threads) {
   if (!insertion.follow_earlier(earlier)) return 0;
   if (!insertion.is_covered(margin_m)) return kOutside;
-  if (!insertion.fits(room, true, threads)) return kNoRoom;
-  insertion.work_in_threads(threads);
+  if (!insertion.fits(room, threads)) return kNoRoom;
+  insertion.run(threads);
   return 0;
 }
 

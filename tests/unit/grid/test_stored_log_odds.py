@@ -21,7 +21,7 @@ BACKENDS = pytest.mark.parametrize("kernels", [backend, reference], ids=["backen
 def make(values, wide=False):
     maps = TileMaps(2, resolution_m=0.1, reach_cells=4.0, evidence=Evidence(*values))
     if wide:
-        maps._shared_arena = TileArena()
+        maps._arena = TileArena()
     return maps
 
 

@@ -85,69 +85,6 @@ def poses_and_beams(step):
     return rng.normal(scale=[0.3, 0.3, 0.2], size=(PARTICLES, 3)), scan.beams(0.05, 30.0)
 
 
-def copied(maps):
-    return maps.copy().to_arrays()
-
-
-def selected(maps):
-    maps.select(np.arange(PARTICLES)[::-1])
-    return maps.to_arrays()
-
-
-def cleared(maps):
-    maps.clear(3)
-    return maps.to_arrays()
-
-
-def compacted(maps):
-    maps.compact()
-    return maps.to_arrays()
-
-
-def limited(maps):
-    maps.limit(3.0)
-    return maps.to_arrays()
-
-
-def updated(maps):
-    poses, beams = poses_and_beams(5)
-    maps.update(ROWS[::2], poses[::2], beams)
-    return maps.to_arrays()
-
-
-READERS = {
-    "arrays": TileMaps.to_arrays,
-    "snapshot": lambda maps: maps.snapshot().to_arrays(),
-    "copy": copied,
-    "select": selected,
-    "clear": cleared,
-    "compact": compacted,
-    "limit": limited,
-    "update": updated,
-    "tiles used": lambda maps: {"": np.array(maps.tiles_used)},
-    "tiles of": lambda maps: {"": np.array(maps.tiles_of(np.array([1, 4])))},
-    "tiles": lambda maps: {"": maps.tile_ids(2)[0] > 0},
-    "tiles within": lambda maps: {"": maps.tile_ids_within(2, (-2, 2), (-3, 1)) > 0},
-    "grid": lambda maps: {"": maps.occupancy(1).log_odds},
-    "field": lambda maps: {"": maps.field(1)[0]},
-    "known": lambda maps: {"": maps.is_known(2, np.random.default_rng(0).uniform(-5, 5, (100, 2)))},
-}
-
-
-@pytest.mark.parametrize("read", READERS.values(), ids=READERS.keys())
-def test_whoever_reads_maps_waits_for_their_update(read):
-    """With threads it goes on in the background."""
-    found = []
-    for threads in (1, 2, 3):
-        maps = empty(threads)
-        for step in range(4):
-            maps.update(ROWS, *poses_and_beams(step))
-        found.append(read(maps))
-    for others in found[1:]:
-        for name, array in found[0].items():
-            np.testing.assert_array_equal(others[name], array)
-
-
 def few_ids(refs):
     return np.arange(len(refs) + 2, len(refs) - 1, -1, dtype=np.int32), len(refs) + 3
 
@@ -166,18 +103,3 @@ def test_ids_may_be_scarce(threads, monkeypatch):
     for name, array in plenty.to_arrays().items():
         np.testing.assert_array_equal(scarce.to_arrays()[name], array)
     assert scarce.tiles_used == plenty.tiles_used
-
-
-@pytest.mark.skipif(not hasattr(os, "fork"), reason="there are no forks")
-def test_a_process_is_forked_while_maps_are_written():
-    maps, alone = empty(2), empty(1)
-    for step in range(3):
-        maps.update(ROWS, *poses_and_beams(step))
-        alone.update(ROWS, *poses_and_beams(step))
-        child = os.fork()
-        if not child:
-            same = all(np.array_equal(maps.to_arrays()[name], array) for name, array in alone.to_arrays().items())
-            os._exit(0 if same else 1)
-        assert os.waitpid(child, 0)[1] == 0
-    for name, array in alone.to_arrays().items():
-        np.testing.assert_array_equal(maps.to_arrays()[name], array)

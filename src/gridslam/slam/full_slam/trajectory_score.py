@@ -11,15 +11,14 @@ from numpy.typing import NDArray
 
 from gridslam.geometry.angles import wrap
 from gridslam.geometry.se2 import between, rotate_covariances
-from gridslam.grid.scan_batch import Weighing
 from gridslam.grid.tiles import TileMaps
 from gridslam.mapping.occupancy_grid_mapping import OccupancyGridMapping
-from gridslam.matching.gauss_newton import cauchy_weights
+from gridslam.matching.gauss_newton import cauchy_weights, weigh_known_beams
 from gridslam.scan import BeamEnds
 from gridslam.slam.loop_closure.drift_model import compute_moments, diagonal_covariances, propagate_covariances
 from gridslam.slam.loop_closure.key_graph import KEY_SCANS_PER_SUBMAP, KeyGraph
 from gridslam.slam.loop_closure.scan_archive import ScanArchive
-from gridslam.slam.loop_closure.submaps import ROW, batches, fade
+from gridslam.slam.loop_closure.submaps import ROW, fade
 from gridslam.types import FloatArray
 
 _BEFORE_M = 0.3
@@ -91,17 +90,14 @@ def score_trajectory(
     after = np.searchsorted(way, way - _SAME_VISIT_DISTANCE)  # key scans that each is compared with
     agreeing = 0.0
     beams = 0
-    for first, last in batches(graph, range(len(poses))):
-        if graph.begins_drive(first):
+    for key in range(len(poses)):
+        if graph.begins_drive(key):
             fade(maps)
-        seen = int(np.searchsorted(after, last, side="right"))  # key scans that are compared by then
-        keys = range(first, max(last, seen))
-        batch = scans.batch([scans.keys[key] for key in keys])
-        weighing = Weighing.of(batch, after[first : keys.stop] - first, SCALE_M)
-        maps.draw(poses[first : keys.stop], batch, 0, last - first, weighing)
-        known = weighing.weights[weighing.weights >= 0]
-        agreeing += float(known.sum(dtype=np.float64))
-        beams += len(known)
+        maps.update(ROW, poses[key : key + 1], scans.key(key))
+        for seen in np.flatnonzero(after == key + 1).tolist():
+            weights = weigh_known_beams(maps, ROW, poses[seen], scans.key(seen).ends, SCALE_M)
+            agreeing += float(weights.sum(dtype=np.float64))
+            beams += len(weights)
         on_progress()
     motion = _score_motion(tracked, np.array(graph.variances), poses)
     likelihood = log_likelihood(agreeing, beams) + motion

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from functools import partial
 from typing import Annotated, Any, NamedTuple, final
@@ -174,8 +173,7 @@ class GridFastSlamState:
                 self.log_ancestry = np.zeros(len(poses))
         if self.closure_state is not None:
             self.closure_state.truncate(scans, key_scans)
-        with suppress(MemoryError):  # of an update that goes on in the background
-            self.maps = self.maps.snapshot()  # another object: whoever shows it looks at all of it again
+        self.maps = self.maps.snapshot()  # another object: whoever shows it looks at all of it again
         self.consumed = False
 
     def move(self, poses: FloatArray, key_pose: Pose, sensor: str) -> None:

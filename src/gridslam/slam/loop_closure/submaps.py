@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
-from itertools import pairwise
 from typing import final
 
 import numpy as np
@@ -33,9 +31,6 @@ _CHANGED = 0.05
 _CERTAIN = math.log((1 - _CHANGED) / _CHANGED)
 _LEAST_ABOVE = 0.4
 """Nats by which an obstacle stays above any threshold: one beam through it."""
-
-_SCANS_AT_A_TIME = 128
-"""Drawn in one call: as many are in memory as plain numbers."""
 
 
 def key_scans_of(submap: int, graph: KeyGraph) -> IntArray:
@@ -72,19 +67,10 @@ def insert_key_scans(
     Meyer-Delius, Beinhofer, Burgard, Occupancy grid models for robot mapping in changing environments (2012); Yguel,
     Aycard, Laugier, Update policy of dense maps (2008), of the limit.
     """
-    drawn = 0
-    for first, last in batches(graph, keys):
-        if graph.begins_drive(first):
+    for key, pose in zip(keys, poses, strict=True):
+        if graph.begins_drive(key):
             fade(maps)
-        batch = scans.batch([scans.keys[key] for key in range(first, last)])
-        maps.draw(poses[drawn : drawn + last - first], batch, 0, last - first)
-        drawn += last - first
-
-
-def batches(graph: KeyGraph, keys: range) -> Iterator[tuple[int, int]]:
-    """First and last + 1 of the key scans that are drawn in one call, each of one drive."""
-    begins = [key for key in keys if graph.begins_drive(key)]
-    return pairwise(sorted({*keys[::_SCANS_AT_A_TIME], *begins, keys.stop}))
+        maps.update(ROW, pose[None], scans.key(key))
 
 
 def fade(maps: TileMaps) -> None:
@@ -95,10 +81,8 @@ def fade(maps: TileMaps) -> None:
 def build_map(mapper: OccupancyGridMapping, scans: ScanArchive, keys: IntArray, poses: FloatArray) -> TileMaps:
     """Build a map of key scans `keys` (K,) at poses (K, 3)."""
     maps = mapper.empty(1)
-    for first in range(0, len(keys), _SCANS_AT_A_TIME):
-        some = slice(first, first + _SCANS_AT_A_TIME)
-        batch = scans.batch([scans.keys[key] for key in keys[some].tolist()])
-        maps.draw(poses[some], batch, 0, batch.size)
+    for key, pose in zip(keys.tolist(), poses, strict=True):
+        maps.update(ROW, pose[None], scans.key(key))
     return maps
 
 
