@@ -2,7 +2,7 @@
 
 Symmetric buildings, bare corridors and rows of equal rooms; in some drives of each kind the robot revisits places, in
 others it never does, and any loop closure is false. And rooms in which things have moved when the robot comes back.
-Beside them a large one.
+Beside them two large worlds.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from gridslam.sim.floor_plan import box, clearance, furniture, join
+from gridslam.sim.floor_plan import box, clearance, furniture, join, pillar
 from gridslam.sim.world import Change, World, wander
 from gridslam.sim.worlds import make_world as make_plain_world
 from gridslam.types import FloatArray
@@ -475,6 +475,40 @@ def campus(rng: np.random.Generator, length_m: float = 2000.0) -> World:
     return World.of("campus", join(carve(spaces), *free), route)
 
 
+def grounds(rng: np.random.Generator) -> World:
+    """Draw a site of 200 m x 110 m: streets with yards, trees and cars, and corridors through some of the buildings.
+
+    Two of three passages lie outdoors, 9 m to 16 m wide. The robot drives about for 1 km to 3 km, and passes each of
+    them several times, in both directions.
+    """
+    columns = np.cumsum([0.0, *rng.uniform(45, 75, 3)]).tolist()
+    rows = np.cumsum([0.0, *rng.uniform(40, 60, 2)]).tolist()
+    junctions = np.array([(x, y) for y in rows for x in columns])
+    across = len(columns)
+    passages = [(k, k + 1) for k in range(len(junctions)) if k % across < across - 1]
+    passages += [(k, k + across) for k in range(len(junctions) - across)]
+    route, _ = wander(tour(junctions, passages, rng.uniform(1000, 3000), rng), rng, aside_m=0.25)
+    lane = np.concatenate([np.linspace(junctions[start], junctions[end], 200) for start, end in passages])
+    spaces: list[_Space] = []
+    things: list[FloatArray] = []
+    for start, end in passages:
+        is_outdoors = rng.random() < 2 / 3
+        width = rng.uniform(9, 16) if is_outdoors else rng.uniform(2.2, 3.2)
+        recesses, boxes = _corridor(junctions[start], junctions[end], width / 2, rng)
+        spaces += recesses
+        things += boxes
+        for _ in range(int(rng.integers(4, 10)) if is_outdoors else 0):
+            along, aside = rng.uniform(), rng.uniform(-width / 2, width / 2)
+            x, y = junctions[start] + along * (junctions[end] - junctions[start])
+            x, y = (x, y + aside) if junctions[start][1] == junctions[end][1] else (x + aside, y)
+            is_tree = rng.random() < 0.6
+            things.append(
+                pillar(x, y, rng.uniform(0.1, 0.3)) if is_tree else furniture(x, y, 4.3, 1.8, rng.uniform(0, 3))
+            )
+    free = [thing for thing in things if clearance(thing, lane).min() > 0.65]
+    return World.of("grounds", join(carve(spaces), *free), route)
+
+
 def _corridor(
     start: FloatArray, end: FloatArray, half: float, rng: np.random.Generator
 ) -> tuple[list[_Space], list[FloatArray]]:
@@ -513,6 +547,7 @@ ALIASED: Mapping[str, Callable[[np.random.Generator], World]] = {
     "bare_corridors": bare_corridors,
     "moved_furniture": moved_furniture,
     "campus": campus,
+    "grounds": grounds,
 }
 """Kinds of worlds of which each seed draws another, by name."""
 

@@ -1,4 +1,4 @@
-"""Simulated drives that judge loop closure: some made to deceive, and campuses of 2 km."""
+"""Simulated drives that judge loop closure: some made to deceive, campuses of 2 km, and grounds."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ import numpy as np
 
 from aliasing_worlds import BARE_CORRIDORS, EQUAL_ROOMS, SYMMETRIC, make_world
 from gridslam.errors import ArgumentError
-from gridslam.sim import LidarConfig, OdometryNoise, RobotConfig, SimulatedStream, World, simulate_stream
+from gridslam.sim import LidarConfig, OdometryNoise, RobotConfig, SimulatedLog, World, simulate
 from gridslam.types import FloatArray
 
 DECEPTIVE = ("equal_rooms", "symmetric", "bare_corridors", "moved_furniture")
@@ -31,10 +31,10 @@ class Drive:
     lidar: LidarConfig
     seed: int
 
-    def stream(self) -> SimulatedStream:
+    def stream(self) -> SimulatedLog:
         """Simulate it, from the start each time; the same bytes each time."""
         rng = np.random.default_rng([self.seed, 1])
-        return simulate_stream(self.world, self.robot, self.odometry, self.lidar, rng)
+        return simulate(self.world, self.robot, self.odometry, self.lidar, rng)
 
 
 def deceptive(kind: str, seed: int) -> Drive:
@@ -62,6 +62,19 @@ def campus(seed: int) -> Drive:
     odometry = _drifting(rng, math.radians(rng.uniform(40, 80)) / 1000, alpha2=1e-4)
     lidar = LidarConfig(range_max_m=50.0, sigma_range_m=0.015)
     return Drive(f"campus {seed}", world, _FAST, odometry, lidar, seed)
+
+
+def grounds(seed: int) -> Drive:
+    """1 km to 3 km outdoors and in corridors, a scan about every metre, of 80 m at the most.
+
+    The odometry's heading drifts by 20 to 60 degrees in 1 km, and tracked motion by a few metres, as on the logs of
+    such places.
+    """
+    rng = np.random.default_rng(seed)
+    world = make_world("grounds", rng)
+    odometry = _drifting(rng, math.radians(rng.uniform(20, 60)) / 1000, alpha2=1e-4)
+    lidar = LidarConfig(range_max_m=80.0, sigma_range_m=0.02, no_return_probability=0.02, rate_hz=0.8)
+    return Drive(f"grounds {seed}", world, _FAST, odometry, lidar, seed)
 
 
 def _drifting(rng: np.random.Generator, bias_rad_per_m: float, alpha2: float) -> OdometryNoise:

@@ -1,21 +1,23 @@
-"""Drives on which old places have to be recognized: the laser is blind for some metres.
+"""Drives on which old places have to be recognized: the laser is blind for some metres, or the way is long.
 
 Scan matching repairs what odometry gets wrong while the laser sees. A blackout is what it cannot repair: a dirty
-window, a dropped driver. Scans are left out for some metres, and odometry turns and stretches the way meanwhile.
+window, a dropped driver. Scans are left out for some metres, and odometry turns and stretches the way meanwhile. On the
+grounds there is none: over 1 km to 3 km, with a scan every metre and angles that are misread, tracked motion drifts as
+on real logs.
 """
 
 from __future__ import annotations
 
 import math
 import zlib
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import NamedTuple, final
 
 import numpy as np
 from scipy.ndimage import minimum_filter
 
 from aliasing_worlds import make_world
-from closure_worlds import DECEPTIVE, deceptive
+from closure_worlds import DECEPTIVE, campus, deceptive, grounds
 from closure_worlds import Drive as Course
 from gridslam.errors import ArgumentError
 from gridslam.geometry.angles import wrap
@@ -26,10 +28,11 @@ from gridslam.mapping.occupancy_grid_mapping import OccupancyGridMapping
 from gridslam.matching import BranchAndBound, Pyramid
 from gridslam.matching.gauss_newton import EVALUATE_ONLY, degenerate_direction
 from gridslam.sim import LidarConfig, OdometryNoise, RobotConfig
-from gridslam.types import Beams, FloatArray, IntArray, LaserScan, Odometry
+from gridslam.types import Beams, FloatArray, IntArray, LaserScan, Odometry, ScanGeometry
 
 HONEST = ("rooms", "demo", "loop", "random")
 KINDS = (*HONEST, *DECEPTIVE)
+LARGE = ("campus", "grounds")
 _UNLIKE = (*HONEST, "moved_furniture")
 APART_M = 30.0
 """A place seen so many metres of driving before is an old one."""
@@ -46,6 +49,9 @@ _THERE_M, _THERE_RAD = 0.3, 0.1
 _FEWEST = 30  # beams
 _QUERY = 8  # key scans by which a place is told from others
 _JOINED_M, _SHORTEST_M = 2.0, 2.0
+_PIECE_M = 10.0
+_MISREAD = 179 / 180
+"""Angles of a laser whose 180 beams are taken for 180 steps, and not 179: turns appear smaller by as much."""
 _ROW = np.zeros(1, np.int32)
 _LOOSE = np.full((1, 3, 3), 1e-9) * np.eye(3)
 
@@ -101,13 +107,22 @@ def _within(spans: FloatArray, at: FloatArray) -> np.ndarray:
 
 
 def simulated(kind: str, seed: int) -> Drive:
-    """Simulate a drive with one to three blackouts, in an honest world or one made to deceive."""
+    """Simulate a drive with one to three blackouts: an honest world or one made to deceive, or the campus.
+
+    And one on the grounds, without any.
+    """
     course, rng = _course(kind, seed), np.random.default_rng([seed, zlib.crc32(kind.encode())])
     stream = course.stream()
     scans, truth = [scan for _, scan in stream.measurements], np.asarray(stream.truth.poses)
     strength = _HONEST if kind in _UNLIKE else _DECEPTIVE
-    dark = _blackouts(truth, scans, strength, rng)
-    wrong = _misled(np.asarray(stream.odometry.poses), driven_m(truth), dark, strength, rng)
+    dark, wrong = np.empty((0, 2)), np.asarray(stream.odometry.poses)
+    if kind == "grounds":
+        seen = scans[0].geometry
+        read = ScanGeometry(_MISREAD * seen.bearings, seen.base_from_laser)
+        scans = [replace(scan, geometry=read) for scan in scans]
+    else:
+        dark = _blackouts(truth, scans, strength, rng)
+        wrong = _misled(wrong, driven_m(truth), dark, strength, rng)
     odometry = [Odometry.at(scan.stamp_ns, pose) for scan, pose in zip(scans, wrong, strict=True)]
     return Drive(f"{kind} {seed}", list(map(Measurement, odometry, scans)), truth, dark)
 
@@ -115,8 +130,10 @@ def simulated(kind: str, seed: int) -> Drive:
 def _course(kind: str, seed: int) -> Course:
     if kind in DECEPTIVE:
         return deceptive(kind, seed)
+    if kind in LARGE:
+        return (campus if kind == "campus" else grounds)(seed)
     if kind not in HONEST:
-        raise ArgumentError("kind", f"one of {', '.join(KINDS)}", repr(kind))
+        raise ArgumentError("kind", f"one of {', '.join([*KINDS, *LARGE])}", repr(kind))
     world = make_world(kind, np.random.default_rng(seed))
     return Course(f"{kind} {seed}", world, RobotConfig(), OdometryNoise(), LidarConfig(), seed)
 
@@ -203,6 +220,18 @@ def certain_revisits(drive: Drive) -> FloatArray:
         if _alone(pyramid, drive.truth, k, _lately(drive, shown, k, beams)):
             certain.append(float(driven[k]))
     return _arcs(certain)
+
+
+def revisited_way(drive: Drive) -> FloatArray:
+    """Pieces (R, 2) of 10 m at most, in metres driven, on which the robot is where it was long before."""
+    driven, keys = driven_m(drive.truth), key_scans(drive.truth)
+    places, at = drive.truth[keys, :2], driven[keys]
+    before = np.searchsorted(at, at - APART_M)
+    near = [np.hypot(*(places[:k] - place).T).min(initial=np.inf) for k, place in zip(before, places, strict=True)]
+    arcs = _arcs(at[np.array(near) < _BACK_M].tolist())
+    return np.array(
+        [(m, min(m + _PIECE_M, end)) for begin, end in arcs.tolist() for m in np.arange(begin, end, _PIECE_M)]
+    )
 
 
 @final

@@ -23,6 +23,7 @@ from recognition_drives import APART_M
 _FALSE_M, _FALSE_RAD = 0.5, math.radians(8.0)
 _RIGHT_M, _RIGHT_RAD = 0.2, math.radians(3.0)
 _BESIDE_M = 0.5  # a run has other key scans than those by which revisits were found
+_BESIDE_WAY_M = 5.0  # half the way from one submap to the next
 
 
 class Mapped(NamedTuple):
@@ -76,10 +77,13 @@ def kept(graph: PoseGraph) -> NDArray[np.bool_]:
     return ~graph.trusted & (np.abs(np.diff(graph.edges)[:, 0]) > 1) & told & followed
 
 
-def judge(truth: FloatArray, driven: FloatArray, said: Mapped, arcs: FloatArray) -> tuple[int, int, int, int]:
+def judge(
+    truth: FloatArray, driven: FloatArray, said: Mapped, arcs: FloatArray, *, by_way: bool = False
+) -> tuple[int, int, int, int]:
     """Count the arcs recognized, the right constraints, the false ones, and those of these that a search gave.
 
-    A place is recognized by a constraint that determines its position.
+    A place is recognized by a constraint that determines its position; `by_way` one that leaves a direction open will
+    do, as along a corridor, and it may end 5 m before or after.
 
     Parameters
     ----------
@@ -98,9 +102,10 @@ def judge(truth: FloatArray, driven: FloatArray, said: Mapped, arcs: FloatArray)
     false = (metres > _FALSE_M) | (radians > _FALSE_RAD)
     determined = np.linalg.eigvalsh(known[:, :2, :2])[:, 0] >= OPEN_M**-2
     ends = np.sort(at[edges], axis=1)
-    right = (metres <= _RIGHT_M) & (radians <= _RIGHT_RAD) & determined & (np.diff(ends)[:, 0] >= APART_M)
+    right = (metres <= _RIGHT_M) & (radians <= _RIGHT_RAD) & (determined | by_way) & (np.diff(ends)[:, 0] >= APART_M)
     later = ends[right, 1]
-    recognized = [bool(((later >= a - _BESIDE_M) & (later <= b + _BESIDE_M)).any()) for a, b in arcs]
+    beside_m = _BESIDE_WAY_M if by_way else _BESIDE_M
+    recognized = [bool(((later >= a - beside_m) & (later <= b + beside_m)).any()) for a, b in arcs]
     found = set(map(tuple, said.searched.tolist()))
     by_search = sum(tuple(pair) in found for pair in edges[false].tolist())
     return sum(recognized), int(right.sum()), int(false.sum()), by_search

@@ -1,8 +1,10 @@
-"""Tables in Markdown."""
+"""The report: tables in Markdown."""
 
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, field
+from typing import final
 
 
 def table(head: Sequence[str], rows: Iterable[Sequence[object]]) -> str:
@@ -17,8 +19,13 @@ def _text(cell: object) -> str:
     return f"{cell:.0f}" if abs(cell) >= 1000 else f"{cell:.4g}"
 
 
-def show(title: str, head: Sequence[str], rows: Iterable[Sequence[object]]) -> str:
-    """Print a section with a table, and return it."""
-    section = f"## {title}\n\n{table(head, rows)}"
-    print(f"\n{section}", flush=True)
-    return section
+@final
+@dataclass
+class Report:
+    """Collects sections, printed as they come."""
+
+    sections: list[str] = field(default_factory=list)
+
+    def add(self, title: str, *paragraphs: str) -> None:
+        self.sections.append("\n\n".join([f"## {title}", *paragraphs]))
+        print(f"\n{self.sections[-1]}", flush=True)
