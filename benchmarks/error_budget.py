@@ -36,7 +36,7 @@ from gridslam.mapping.occupancy_grid_mapping import OccupancyGridMapping
 from gridslam.matching.surfaces import Surfaces
 from gridslam.pipeline import run
 from gridslam.scan import LaserScan
-from gridslam.sim import LidarConfig, OdometryNoise, RobotConfig, make_world, simulate
+from gridslam.sim import LidarConfig, OdometryNoise, RobotConfig, SimulatedLog, make_world, simulate
 from gridslam.slam.full_slam.surface_adjustment import LINE_REACH_M, select_pairs, share_information
 from gridslam.slam.grid_fastslam.smoothed_pose import SmoothedPose
 from gridslam.tracking.tracker import Tracker
@@ -112,15 +112,15 @@ def bound(measurements: Iterable[Measurement]) -> tuple[float, float]:
     return float(metres), float(np.degrees(radians))
 
 
+def simulated_drive(world: str, seed: int, lidar: LidarConfig = LASERS["180 degrees, 1 cm"]) -> SimulatedLog:
+    """A drive through a world of that name; both are drawn by the seed."""
+    drawn = make_world(world, np.random.default_rng(seed))
+    return simulate(drawn, RobotConfig(), OdometryNoise(), lidar, np.random.default_rng(seed))
+
+
 def judge(world: str, seed: int) -> dict[str, list[float]]:
     """ATE (m, degrees) and RPE (m, degrees) of each stage of one drive."""
-    log = simulate(
-        make_world(world, np.random.default_rng(seed)),
-        RobotConfig(),
-        OdometryNoise(),
-        LidarConfig(sigma_range_m=NOISE_M),
-        np.random.default_rng(seed),
-    )
+    log = simulated_drive(world, seed)
     reports, full = map_drive(log.measurements, Configuration(), 0)
     with patch("gridslam.tracking.tracker.match_to_surfaces", lambda recent, own, found: found.pose):
         cells = track(log.measurements, Tracker())
@@ -188,8 +188,7 @@ def score(poses: FloatArray, truth: Trajectory) -> list[float]:
 def judge_laser(name: str, world: str, seed: int) -> dict[str, list[float]]:
     """Scores of the odometry, the online and the final trajectory, and the bound, of one drive."""
     lidar = LASERS[name]
-    rng = np.random.default_rng(seed)
-    log = simulate(make_world(world, np.random.default_rng(seed)), RobotConfig(), OdometryNoise(), lidar, rng)
+    log = simulated_drive(world, seed, lidar)
     measurements, truth = list(log.measurements), log.truth
     if "every metre" in name:
         kept = thin(truth.poses)

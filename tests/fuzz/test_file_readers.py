@@ -13,7 +13,7 @@ from support.fuzz_files import Family, failures, families, run_cases
 
 pytestmark = pytest.mark.skipif(not hasattr(os, "fork"), reason="cases are read in processes that are forked")
 
-PAGE = ("page: requests", "page: sockets")  # they wait for answers
+PAGE = ("page: sockets",)  # it waits for answers
 
 
 @pytest.fixture(scope="module")

@@ -7,15 +7,11 @@ import subprocess
 import sys
 import time
 
-import numpy as np
 import pytest
 
 from gridslam.api.mapping import map_log
-from gridslam.batch.engine import run_jobs
 from gridslam.config import Configuration
 from gridslam.io.csv import CsvLog
-from support.batch_jobs import check_faults, map_job, with_faults, write_logs
-from support.batch_kills import kill_and_repeat
 from support.node_faults import AFTER, BEFORE, FAULTS, make_drive, run_fault
 
 NODE = """
@@ -90,20 +86,3 @@ def test_a_node_that_is_killed_leaves_its_record_and_the_next_one_keeps_it(tmp_p
     assert (tmp_path / "scans-2.csv").exists()
     result = map_log(tmp_path / "scans.csv", configuration=Configuration(particles=3), repair="none")
     assert len(result.trajectory) >= scans - 5
-
-
-def test_of_100_logs_with_17_faults_83_are_mapped(tmp_path):
-    logs = write_logs(tmp_path / "logs", 83)
-    jobs = with_faults([map_job(log, log.stem) for log in logs], broken=10, hanging=3, greedy=3, crashing=1)
-    rows = run_jobs(jobs, tmp_path / "out", workers=2, timeout_s=15.0)
-    assert len(rows) == 100
-    assert sum(row["status"] == "done" for row in rows) == 83
-    check_faults(rows, tmp_path / "out", broken=10, hanging=3, greedy=3, crashing=1)
-
-
-def test_a_batch_that_is_killed_20_times_ends_complete(tmp_path, record_property):
-    write_logs(tmp_path / "logs", 60)
-    counts = kill_and_repeat(tmp_path / "logs", tmp_path / "out", 20, np.random.default_rng(20), 6.0)
-    record_property("done at each kill", counts)
-    assert counts[-1] == 60
-    assert len(set(counts)) > 3  # kills came between jobs that were done, on a busy machine, too

@@ -20,7 +20,7 @@ from gridslam.io.carmen.writer import write_carmen
 from gridslam.io.log import LogOptions, open_log
 from gridslam.io.trajectories import read_relations
 from gridslam.types import Trajectory
-from support.real_logs import ACES, CSAIL, INTEL, SPARSE, Backwards, check_seed, errors_of
+from support.real_logs import ACES, CSAIL, INTEL, SPARSE, Backwards, check_seed, errors_of, poses_of
 
 
 @pytest.mark.parametrize("band", [INTEL, ACES, CSAIL], ids=lambda band: band.log)
@@ -42,43 +42,32 @@ def test_intel_without_its_odometry(data_dir, tmp_path):
 THINNED = {("aces", 10): 0.10, ("mit-csail", 5): 0.08, ("mit-csail", 10): 0.20}
 """Logs of which one in so many scans is taken, and how far off (m, rms); ecac047: 18.2, 15, 14.7 m."""
 
-CLEAN: dict[str, np.ndarray] = {}
 
-
-def clean(data: Path, name: str) -> np.ndarray:
-    """Poses (N, 3) of all scans of a log, mapped at full rate; two seeds differ by up to 0.12 m (rms) on ACES."""
-    if name not in CLEAN:
-        CLEAN[name] = gridslam.map_log(data / f"{name}.clf.bz2").trajectory.poses
-    return CLEAN[name]
-
-
-def map_both(log: Path, seed: int, **options) -> tuple[gridslam.Trajectory, gridslam.Trajectory]:
+def map_both(log: Path, **options) -> tuple[gridslam.Trajectory, gridslam.Trajectory]:
     """The answer, and that of the filter alone."""
     filter_alone = gridslam.Configuration(loop_closure=None)
-    full = gridslam.map_log(log, seed=seed, **options)
-    alone = gridslam.map_log(log, configuration=filter_alone, seed=seed, **options)
+    full = gridslam.map_log(log, **options)
+    alone = gridslam.map_log(log, configuration=filter_alone, **options)
     return full.trajectory, alone.trajectory
 
 
-def both(log: Path, seed: int, reference: np.ndarray) -> tuple[float, float]:
+def both(log: Path, reference: np.ndarray) -> tuple[float, float]:
     """How far off (m, rms) the answer is, and that of the filter alone."""
-    full, alone = map_both(log, seed)
+    full, alone = map_both(log)
     return off_from(full.poses, reference), off_from(alone.poses, reference)
 
 
 @pytest.mark.parametrize("name", SPARSE)
 def test_logs_of_key_scans(data_dir, name):
-    reference = gmapping_path(data_dir, name)
-    for seed in (0,) if name == "acapulco" else (0, 1):
-        full, alone = both(data_dir / "sparse" / f"{name}.clf.gz", seed, reference)
-        assert full < SPARSE[name]
-        assert full < 1.05 * alone + 0.02
+    full, alone = both(data_dir / "sparse" / f"{name}.clf.gz", gmapping_path(data_dir, name))
+    assert full < SPARSE[name]
+    assert full < 1.05 * alone + 0.02
 
 
 @pytest.mark.parametrize(("name", "every"), THINNED)
 def test_logs_thinned_by_number(data_dir, name, every):
-    reference = clean(data_dir, name)[::every]
-    answers = map_both(data_dir / f"{name}.clf.bz2", 0, options=gridslam.LogOptions(every=every))
+    reference = poses_of(data_dir, name)[::every]
+    answers = map_both(data_dir / f"{name}.clf.bz2", options=gridslam.LogOptions(every=every))
     full, alone = (off_from(answer.poses, reference) for answer in answers)
     assert full < THINNED[name, every]
     truth = data_dir / f"{name}.relations"
@@ -92,7 +81,7 @@ def test_logs_thinned_by_way(data_dir, tmp_path, name, most_m):
     numbers, measurements = zip(*every_half_metre(gridslam.CarmenLog(data_dir / f"{name}.clf.bz2")), strict=True)
     write_carmen(tmp_path / "thin.clf", measurements)
     assert all(later > earlier for earlier, later in pairwise(numbers))
-    full, alone = both(tmp_path / "thin.clf", 0, clean(data_dir, name)[list(numbers)])
+    full, alone = both(tmp_path / "thin.clf", poses_of(data_dir, name)[list(numbers)])
     assert full < most_m
     assert full < max(1.05 * alone, 0.05)
 

@@ -5,14 +5,10 @@ Each child imports this module: what only the tests need is imported where it is
 
 import ctypes
 import os
-import random
 import signal
 import subprocess
 import sys
 import time
-from collections import Counter
-from dataclasses import asdict
-from itertools import islice
 from pathlib import Path
 
 from gridslam.batch.job import Job, compute_key
@@ -24,68 +20,6 @@ def make_job(function, name, **arguments):
     """A job of a function of this module; what only counts is no part of the key."""
     key = compute_key("test", function, {"name": name, **arguments})
     return Job(f"support.batch_jobs:{function}", arguments, f"{name}.clf", name, key, "test")
-
-
-def map_job(log, name):
-    """A job that maps a log with few particles."""
-    from gridslam.config import Configuration
-    from gridslam.io.log import LogOptions
-    from gridslam.parameters import to_table
-
-    arguments = {
-        "log": str(log),
-        "configuration": to_table(Configuration(particles=3)),
-        "seed": 0,
-        "threads": 1,
-        "repair": "needed",
-        "options": asdict(LogOptions()),
-        "max_memory_bytes": 10**9,
-        "reference": None,
-    }
-    return Job("gridslam.batch.commands:run_map", arguments, str(log), name, compute_key("map", name, arguments))
-
-
-def write_logs(folder, count, scans=40):
-    """Write the beginnings of drives through one building, with noise of their own."""
-    import numpy as np
-
-    from gridslam.io.carmen.writer import write_carmen
-    from gridslam.sim import LidarConfig, OdometryNoise, RobotConfig, make_world, simulate
-
-    folder.mkdir()
-    lidar = LidarConfig(beams=90)
-    for seed in range(count):
-        rng = np.random.default_rng(seed)
-        log = simulate(make_world("rooms", rng), RobotConfig(), OdometryNoise(), lidar, rng)
-        write_carmen(folder / f"log{seed:03d}.clf", islice(log.measurements, scans))
-    return sorted(folder.iterdir())
-
-
-def with_faults(healthy, broken, hanging, greedy, crashing):
-    """Jobs of a fleet: the healthy ones with the others among them, in a fixed order."""
-    jobs = [
-        *healthy,
-        *(make_job("reject", f"broken{k}") if k % 2 else map_job("absent.clf", f"broken{k}") for k in range(broken)),
-        *(make_job("hang", f"hanging{k}") for k in range(hanging)),
-        *(make_job("take_memory", f"greedy{k}") for k in range(greedy)),
-        *(make_job("segfault", f"crashing{k}") for k in range(crashing)),
-    ]
-    random.Random(0).shuffle(jobs)
-    return jobs
-
-
-def check_faults(rows, out, **expected):
-    """Each fault has its name, and nothing is left of what failed: no process, no file."""
-    names = {"broken": "InputError", "hanging": "timeout", "greedy": "out of memory", "crashing": "SIGSEGV"}
-    assert Counter(row["error"] for row in rows if row["status"] == "failed") == {
-        names[kind]: count for kind, count in expected.items()
-    }
-    for row in rows:
-        assert row["error"] == names.get(row["folder"].rstrip("0123456789")), row
-    done = {row["folder"] for row in rows if row["status"] == "done"}
-    assert {path.name for path in out.iterdir()} == {"runs.sqlite", *done}
-    assert not list(out.rglob(".*"))
-    assert not children_of(os.getpid())
 
 
 def children_of(pid):
