@@ -10,10 +10,14 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from hypothesis import settings
 
 pytest.register_assert_rewrite("support.real_logs")
 
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # processes of tests that share the cores wait for each other else
+
+settings.register_profile("tests", max_examples=40, deadline=None)  # other ones at each run; no test is timed
+settings.load_profile("tests")
 
 TESTS = Path(__file__).parent
 

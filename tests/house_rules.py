@@ -33,7 +33,6 @@ ONLY_IN = {
     "fsspec": {"io"},
     "contourpy": {"plan"},
     "shapely": {"plan"},
-    "ezdxf": {"plan"},
 }
 """Who may import which dependency: help must not pay for drawing, nor the filter for a terminal."""
 

@@ -16,5 +16,4 @@ run_map, run_localize, run_doctor, run_evaluate, run_trial  # targets of jobs, w
     runner_up_pose,
     agreeing_keypoints,
 )  # read together with others
-START_AT_GIVEN_POSE  # a constant of slam_toolbox's service
 to_planar, laser_motion, squared_innovations  # offered to callers

@@ -172,7 +172,12 @@ def graph_slam() -> None:
         f"{len(poses)} poses, {len(edges) - len(chain)} loop closures",
         f"chi2 {solution.chi2_before:.4g} before, {solution.chi2_after:.4g} after {solution.iterations} linear systems",
     ]
-    picture = draw_graph(solution.graph, graph.poses, title="a simulated town", caption=caption)
+    before = draw_graph(graph, title="a simulated town, before", caption=caption[:1])
+    after = draw_graph(solution.graph, title="after", caption=caption[1:])
+    both = before.resize((after.width, round(before.height * after.width / before.width)))
+    picture = Image.new("RGB", (2 * after.width, max(both.height, after.height)), "white")
+    picture.paste(both, (0, 0))
+    picture.paste(after, (after.width, 0))
     keep("graph_slam", picture, 1100)
 
 

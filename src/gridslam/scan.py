@@ -17,7 +17,6 @@ from gridslam.checked import checked
 from gridslam.errors import ArgumentError
 from gridslam.geometry.angles import wrap
 from gridslam.geometry.se3 import from_planar
-from gridslam.kernels import backend
 from gridslam.parameters import bounded, parameters
 
 FloatArray = NDArray[np.float64]
@@ -531,9 +530,8 @@ class LaserScan:
         Dense scans are thinned by `thinning`.
         """
         geometry = self.geometry
-        usable, ends = backend.select_beams(
-            self.ranges, self.status, geometry.directions, geometry.origin, min_m, max_m
-        )
+        usable = ((self.status == _HIT) & (self.ranges >= min_m) & (self.ranges < max_m)).nonzero()[0]
+        ends = geometry.directions[usable] * self.ranges[usable, None] + geometry.origin
         if len(usable) > thinning.dense_beams:
             taken = thinning(self.ranges[usable], geometry.widths[usable])
             if taken is not None:

@@ -3,7 +3,6 @@
 import json
 from functools import partial
 
-import ezdxf
 import numpy as np
 import pytest
 from PIL import Image
@@ -54,13 +53,13 @@ def test_a_map_of_another_day_is_a_plan(call, drawn, tmp_path):
         (["plan.png"], "expected a plan with a scale: state --unit"),
         (["later.yaml", "--unit", "2"], "expected no --unit with a map"),
         (["plan.png", "--unit", "0.4"], "of its walls agree with it"),
-        (["empty.dxf", "--unit", "1"], "expected lines of up to"),
+        (["empty.png", "--unit", "1"], "expected walls, got none"),
     ],
 )
 def test_what_cannot_be_aligned_is_one_line(call, drawn, tmp_path, arguments, problem):
     folder, _, _ = drawn
-    ezdxf.new().saveas(folder / "empty.dxf")
-    given = [folder / word if word.endswith(("png", "dxf", "yaml")) else word for word in arguments]
+    Image.new("L", (40, 50), 255).save(folder / "empty.png")
+    given = [folder / word if word.endswith(("png", "yaml")) else word for word in arguments]
     status, out, err = call(folder / "map.yaml", *given, "-o", tmp_path / "out")
     assert (status, out, err.count("\n")) == (2, "", 1)
     assert problem in err

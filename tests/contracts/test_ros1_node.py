@@ -273,7 +273,6 @@ def test_a_robot_is_localized_in_a_known_map(ros, tmp_path):
     assert ros.until(lambda: "initialpose: expected a pose in the frame map, got 'odom'" in ros.log("node"))
     assert "geometry_msgs/PoseWithCovarianceStamped" in ros.run("rostopic", "type", "/amcl_pose")
     assert "frame_id" in ros.run("rostopic", "echo", "-n", "1", "/amcl_pose/header")  # latched
-    ros.run("rosservice", "call", "/request_nomotion_update")
     ros.run("rosservice", "call", "/global_localization")
     node.send_signal(signal.SIGINT)
     assert node.wait(60) == 0, ros.log("node")

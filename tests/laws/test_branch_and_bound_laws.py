@@ -14,7 +14,7 @@ compiled = pytest.importorskip("gridslam.kernels._compiled")
 
 BOTH = pytest.mark.parametrize("kernels", [compiled, reference], ids=["compiled", "reference"])
 ANYWHERE = np.zeros((3, 3)), 1.0
-QUICK = settings(deadline=None, max_examples=150)
+QUICK = settings(max_examples=60)
 
 
 def square(likelihood, y, x, side):

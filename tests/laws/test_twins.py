@@ -16,7 +16,6 @@ from gridslam.types import LaserScan, ScanGeometry
 compiled = pytest.importorskip("gridslam.kernels._compiled")
 
 KERNELS = (
-    "select_beams",
     "tiles_on_rays",
     "make_tiles_writable",
     "update",
@@ -31,18 +30,11 @@ KERNELS = (
     "correlate",
     "sum_at_ends",
     "draw_scans",
-    "mean_shift",
-    "are_true",
-    "slots_of",
-    "hamming_distances",
     "fit_surfaces",
     "match_surfaces",
     "match_to_surfaces",
-    "parse_numbers",
-    "format_rows",
 )
-"""Those from `max_pyramid` on in `test_branch_and_bound_laws.py`, `test_many_scans_laws.py`, `test_small_kernels.py`
-and `test_number_laws.py`."""
+"""Those from `max_pyramid` on in the tests of branch and bound, of many scans and of surfaces."""
 SEEDS = range(10)
 CELL = 0.05
 SINGLE = 4e-4
@@ -60,21 +52,6 @@ EVIDENCES = (
     Evidence(1.0, -1.0, -2.0, 2.0, 0.0),
     Evidence(2.4, -0.37, -1.6, 3.2, 2.0),  # more than a byte holds
 )
-
-
-@pytest.mark.parametrize("seed", SEEDS)
-def test_select_beams(seed):
-    rng = np.random.default_rng(seed)
-    beams = int(rng.integers(0, 200))
-    ranges = rng.choice([0.05, 30.0, np.nextafter(30.0, 0), np.nan, np.inf, -1.0, 0.0, 7.3], beams)
-    ranges = np.where(rng.random(beams) < 0.5, rng.uniform(0, 40, beams), ranges)
-    status = rng.integers(0, 3, beams).astype(np.uint8)
-    angles = rng.uniform(-3, 3, beams)
-    directions = np.stack([np.cos(angles), np.sin(angles)], axis=1)
-    one, other = (k.select_beams(ranges, status, directions, ORIGIN, 0.05, 30.0) for k in (compiled, reference))
-    for a, b in zip(one, other, strict=True):
-        assert (a.dtype, a.shape) == (b.dtype, b.shape)
-        np.testing.assert_array_equal(a, b)
 
 
 def random_ends(rng, beams=60):

@@ -50,13 +50,13 @@ def write_logs(folder, count, scans=40):
     import numpy as np
 
     from gridslam.io.carmen.writer import write_carmen
-    from gridslam.sim import LidarConfig, OdometryNoise, RobotConfig, make_world, simulate_stream
+    from gridslam.sim import LidarConfig, OdometryNoise, RobotConfig, make_world, simulate
 
     folder.mkdir()
     lidar = LidarConfig(beams=90)
     for seed in range(count):
         rng = np.random.default_rng(seed)
-        log = simulate_stream(make_world("rooms", rng), RobotConfig(), OdometryNoise(), lidar, rng)
+        log = simulate(make_world("rooms", rng), RobotConfig(), OdometryNoise(), lidar, rng)
         write_carmen(folder / f"log{seed:03d}.clf", islice(log.measurements, scans))
     return sorted(folder.iterdir())
 

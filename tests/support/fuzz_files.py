@@ -32,7 +32,7 @@ from gridslam.doctor import CheckedLog, diagnose
 from gridslam.doctor.report import document
 from gridslam.errors import ArgumentError, ConfigurationError, InputError
 from gridslam.io.csv import write_csv_log
-from gridslam.io.edited_maps import read_edited_map
+from gridslam.io.edited_maps import apply_edits, check_edits
 from gridslam.io.edits import LAYERS, Edit, Edits, parse_edits, read_edits
 from gridslam.io.g2o import read_g2o, write_g2o
 from gridslam.io.landmark_logs import open_landmark_log
@@ -445,7 +445,9 @@ def _edits(folder: Path) -> Iterator[Family]:
     def read(where: Path) -> None:
         edits = read_edits(where / "edits.geojson")
         assert parse_edits(json.loads(edits.to_text()), where).to_text() == edits.to_text()
-        grid = read_edited_map(where / "edits.geojson")
+        grid = read_map(where / "map.yaml")
+        check_edits(edits, where / "edits.geojson", where / "map.yaml", grid, lambda remark: None)
+        grid = apply_edits(grid, edits)
         make_keepout_mask(grid, edits)
         make_speed_mask(grid, edits)
 
@@ -453,21 +455,15 @@ def _edits(folder: Path) -> Iterator[Family]:
 
 
 def _plans(folder: Path) -> Iterator[Family]:
-    """Drawn plans: DXF and PNG."""
-    pairs = ("0", "SECTION", "2", "ENTITIES", "0", "LINE", "8", "0", "10", "1.5", "20", "2", "11", "8", "21", "2")
-    pairs += ("0", "ARC", "8", "0", "10", "5", "20", "2", "40", "3", "50", "10", "51", "100")
-    dxf = "\n".join([*pairs, "0", "ENDSEC", "0", "EOF", ""])
+    """Drawn plans."""
     Image.fromarray(np.random.default_rng(0).choice([0, 255], (40, 50)).astype(np.uint8)).save(folder / "drawn.png")
-    whole = {"dxf": dxf.encode(), "png": (folder / "drawn.png").read_bytes()}
+    whole = (folder / "drawn.png").read_bytes()
 
     def prepare(to: Path, rng: np.random.Generator) -> None:
-        kind = sorted(whole)[rng.integers(2)]
-        damages = OF_BYTES if kind == "png" else OF_TEXT
-        (to / f"plan.{kind}").write_bytes(damage(whole[kind], damages, rng)[0])
+        (to / "plan.png").write_bytes(damage(whole, OF_BYTES, rng)[0])
 
     def read(where: Path) -> None:
-        (path,) = where.iterdir()
-        read_drawn_plan(path)
+        read_drawn_plan(where / "plan.png", 0.02)
 
     yield Family("plans", prepare, read, 2)
 

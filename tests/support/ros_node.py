@@ -5,11 +5,11 @@ from __future__ import annotations
 import threading
 import time
 from collections.abc import Callable, Iterable, Iterator
+from concurrent.futures import Future
 from typing import Any
 
 import numpy as np
 
-from gridslam.errors import ConfigurationError
 from gridslam.io.bags.encoder import MessageEncoder
 from gridslam.io.bags.ros_messages import Wire, wire_of_cdr
 from gridslam.io.measurement import Measurement
@@ -88,7 +88,7 @@ class LocalTransport:
         self.outputs = RecordedOutputs()
         self.shut_down = threading.Event()
         self.services: dict[str, Callable[[object], Any]] = {}
-        self.handlers: dict[str, Callable[[bytes, str], None]] = {}
+        self.handlers: dict[str, Callable[[bytes], None]] = {}
 
     def connect(self, refuse: Callable[[str, str], None], topics: dict[str, str]) -> None:
         self.refuse = refuse
@@ -101,16 +101,11 @@ class LocalTransport:
     def resolve(self, topic: str) -> str:
         return f"/{topic}"
 
-    def subscribe(self, topic: str, kind: str, handle: Callable[[bytes, str], None], **qos: object) -> None:
+    def subscribe(self, topic: str, kind: str, handle: Callable[[bytes], None], **qos: object) -> None:
         self.handlers[topic] = handle
 
     def advertise(self, service: str, kind: str, serve: Callable[[object], Any], **options: bool) -> None:
-        if kind.startswith("slam_toolbox/"):
-            raise ConfigurationError("its types are not installed")
         self.services[service] = serve
-
-    def advertise_parameters(self, values: object, change: object, settable: object) -> None:
-        self.parameters = values
 
     def spin(self, ended: threading.Event) -> Iterator[None]:
         while not self.shut_down.is_set() and not ended.wait(0.01):
@@ -161,6 +156,13 @@ def until(true: Callable[[], bool], seconds: float = 20.0) -> bool:
             return False
         time.sleep(0.002)
     return True
+
+
+def in_filter(core: NodeCore, call: Callable[[], Any] = lambda: None) -> Any:
+    """Run a call in the filter's thread between two scans; give what it returns."""
+    answer: Future[Any] = Future()
+    core._queue.post(lambda: answer.set_result(call()))
+    return answer.result(60.0)
 
 
 def play(

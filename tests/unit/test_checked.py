@@ -176,14 +176,13 @@ OF_FILTERS = ("GridFastSlamState", "MonteCarloState", "TrackerState", "ReportBui
 """What filters alone call, for each scan: they hand in what they have checked."""
 UNCHECKED = (
     *(
-        "doctor.LaserFacts",
         "doctor.Repair",
         "gridslam.Diagnosis",
         "doctor.Diagnosis",
     ),
     *("gridslam.Conversion", "gridslam.GridResult", "gridslam.LandmarkLocalizationResult", "gridslam.LandmarkResult"),
     *("gridslam.LocalizationResult", "gridslam.StepReport", "localization.LocalizationReport", "sim.SimulatedLog"),
-    *("sim.SimulatedStream", "evaluation.RelationErrors", "evaluation.SelfConsistency", "matching.LatticeMatch"),
+    *("evaluation.RelationErrors", "evaluation.SelfConsistency", "matching.LatticeMatch"),
     *("slam.ProposedPoses", "types.StoredScan", "sim.Change", "types.StepReport"),  # all these the package itself makes
     *("geometry.angles.wrap", "sim.vary_route", "gridslam.run", "types.require_measurement"),
     "geometry.se2.rotate_covariances",  # check by themselves, or serve the package alone

@@ -3,22 +3,19 @@
 from __future__ import annotations
 
 import math
-import re
 from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any, Final, NamedTuple, final
 
 import numpy as np
 
-from gridslam.config.tables import nest, read_assignments, replace_parameters, suggest_names
+from gridslam.config.tables import names, nest, read_assignments, replace_parameters
 from gridslam.errors import ConfigurationError, InputError
 from gridslam.io.ros_parameters import read_parameter_file
 from gridslam.localization.monte_carlo import MonteCarloConfiguration
-from gridslam.models.motion import OdometryMotion
-from gridslam.parameters import Table, to_table
+from gridslam.parameters import Table, bounded, parameters, to_table
 from gridslam.types import FloatArray
 
-_POSE = ("initial_pose_x", "initial_pose_y", "initial_pose_a")
 _TABLE: Final[tuple[tuple[str, str, Any, Any, str], ...]] = (
     ("min_particles", "", 100, 500, "kld.particles_min"),
     ("max_particles", "", 5000, 2000, "kld.particles_max"),
@@ -30,24 +27,43 @@ _TABLE: Final[tuple[tuple[str, str, Any, Any, str], ...]] = (
     ("recovery_alpha_slow", "", 0.0, 0.0, "recovery.alpha_slow"),
     ("recovery_alpha_fast", "", 0.0, 0.0, "recovery.alpha_fast"),
     *((f"odom_alpha{k}", f"alpha{k}", 0.2, 0.2, f"motion.alpha{k}") for k in range(1, 5)),
-    ("odom_alpha5", "alpha5", None, None, ""),
     ("laser_max_beams", "max_beams", 30, 60, "max_beams"),
     ("laser_z_hit", "z_hit", 0.95, 0.5, ""),
     ("laser_z_short", "z_short", 0.1, 0.05, ""),
     ("laser_z_max", "z_max", 0.05, 0.05, ""),
     ("laser_z_rand", "z_rand", 0.05, 0.5, ""),
     ("laser_sigma_hit", "sigma_hit", 0.2, 0.2, "sensor.sigma_hit_m"),
-    ("laser_lambda_short", "lambda_short", 0.1, 0.1, ""),
+    ("laser_lambda_short", "lambda_short", 0.1, 0.1, "sensor.lambda_short_per_m"),
     ("laser_likelihood_max_dist", "", 2.0, 2.0, "reach_m"),
     ("laser_min_range", "", None, None, "range_min_m"),
     ("laser_max_range", "", None, 100.0, "range_max_m"),
-    ("laser_model_type", "", "likelihood_field", "likelihood_field", ""),
-    ("odom_model_type", "robot_model_type", "diff", "nav2_amcl::DifferentialMotionModel", ""),
-    ("selective_resampling", "", False, None, ""),
-    ("set_initial_pose", "", None, None, ""),
-    *((name, f"initial_pose.{axis}", None, None, "") for name, axis in zip(_POSE, ("x", "y", "yaw"), strict=True)),
+    ("laser_model_type", "", "likelihood_field", "likelihood_field", "sensor.kind"),
+    ("odom_model_type", "robot_model_type", "diff", "nav2_amcl::DifferentialMotionModel", "motion.kind"),
+    ("selective_resampling", "", False, None, "when_to_resample.kind"),
 )
 """AMCL's parameters: the name in ROS 1, another one in nav2, the defaults in both, and the parameter here if any."""
+
+_KINDS: Final[Mapping[str, Mapping[str, str]]] = {
+    "laser_model_type": {
+        "likelihood_field": "LikelihoodField",
+        "likelihood_field_prob": "LikelihoodField",
+        "beam": "BeamRangeFinder",
+    },
+    "odom_model_type": {
+        "diff": "OdometryMotion",
+        "diff-corrected": "OdometryMotion",
+        "differential": "OdometryMotion",
+        "differential_drive": "OdometryMotion",
+        "nav2_amcl::DifferentialMotionModel": "OdometryMotion",
+        "omni": "GMappingMotion",
+        "omni-corrected": "GMappingMotion",
+        "omnidirectional": "GMappingMotion",
+        "omnidirectional_drive": "GMappingMotion",
+        "nav2_amcl::OmniMotionModel": "GMappingMotion",
+    },
+    "selective_resampling": {"False": "AlwaysResample", "True": "EffectiveSampleSizeBelow"},
+}
+"""Parts by the values of parameters; a holonomic robot's motion has noise across it, too."""
 
 AMCL_DEFAULTS: Final[Mapping[str, Mapping[str, Any]]] = {
     "amcl": {name: default for name, _, default, _, _ in _TABLE if default is not None},
@@ -55,25 +71,19 @@ AMCL_DEFAULTS: Final[Mapping[str, Mapping[str, Any]]] = {
 }
 """The defaults of ROS 1's amcl and of nav2's, each by its own names."""
 
-_COVARIANCE: Final[Mapping[str, tuple[int, int]]] = {
-    f"initial_cov_{name}": place
-    for name, place in {"xx": (0, 0), "yy": (1, 1), "aa": (2, 2), "xy": (0, 1), "xa": (0, 2), "ya": (1, 2)}.items()
-}
 _ALIASES: Final[Mapping[str, str]] = {
     **{other: name for name, other, *_ in _TABLE if other},
+    "initial_pose.x": "initial_pose_x",
+    "initial_pose.y": "initial_pose_y",
+    "initial_pose.yaw": "initial_pose_a",
     "initial_pose_yaw": "initial_pose_a",
-    **{
-        f"initial_pose{mark}covariance_{beluga}": name
-        for mark in "._"  # of Beluga's ROS 2 node, and of its nodelet
-        for name, beluga in zip(_COVARIANCE, ("x", "y", "yaw", "xy", "xyaw", "yyaw"), strict=True)
-    },
 }
-_PLACES: Final = {name: place for name, _, _, _, place in _TABLE if place}
-_SHARES = {f"laser_z_{kind}": f"z_{kind}" for kind in ("hit", "short", "max", "rand")}
-_BINS = ("spatial_resolution_x", "spatial_resolution_y", "spatial_resolution_theta")
-_COUNTS = ("min_particles", "max_particles", "resample_interval", "laser_max_beams")
+_PLACES: Final = {name: place for name, *_, place in _TABLE if place}
+_POSE: Final = ("initial_pose_x", "initial_pose_y", "initial_pose_a")
+_SHARES: Final = ("z_hit", "z_short", "z_max", "z_rand")
+_COUNTS: Final = ("min_particles", "max_particles", "resample_interval", "laser_max_beams")
 _ALMOST_ZERO = 1e-9
-_IGNORED: Final = tuple(
+_IGNORED: Final = frozenset(
     """
     odom_alpha5 do_beamskip beam_skip_distance beam_skip_threshold beam_skip_error_threshold base_frame_id
     odom_frame_id global_frame_id tf_broadcast transform_tolerance gui_publish_rate save_pose_rate use_map_topic
@@ -84,8 +94,27 @@ _IGNORED: Final = tuple(
     """.split()  # noqa: SIM905 one name a line would be half a page
 )
 
-AMCL_NAMES: Final = frozenset((*(name for name, *_ in _TABLE), *_COVARIANCE, *_BINS, *_IGNORED, *_ALIASES))
-"""Every name that `from_amcl` knows."""
+
+@final
+@parameters(frozen=True)
+class _Rest:
+    """AMCL's parameters that are none of the filter: the initial pose with its variances, and the sensor's shares."""
+
+    set_initial_pose: bool = True
+    initial_pose_x: float = 0.0
+    initial_pose_y: float = 0.0
+    initial_pose_a: float = 0.0
+    initial_cov_xx: float = bounded(0.25, ge=0)
+    initial_cov_yy: float = bounded(0.25, ge=0)
+    initial_cov_aa: float = bounded((math.pi / 12) ** 2, ge=0)
+    laser_z_hit: float = bounded(0.95, ge=0)
+    laser_z_short: float = bounded(0.1, ge=0)
+    laser_z_max: float = bounded(0.05, ge=0)
+    laser_z_rand: float = bounded(0.05, ge=0)
+
+
+AMCL_NAMES: Final = frozenset((*(name for name, *_ in _TABLE), *_ALIASES, *names(_Rest()), *_IGNORED))
+"""The names of AMCL's parameters."""
 
 
 @final
@@ -100,7 +129,7 @@ class AmclParameters(NamedTuple):
     covariance : (3, 3) float64
         Of that pose; AMCL's default where none is given.
     ignored : tuple of str
-        Names that are known but mean nothing here.
+        Names that mean nothing here.
     """
 
     configuration: MonteCarloConfiguration
@@ -110,7 +139,7 @@ class AmclParameters(NamedTuple):
 
 
 def from_amcl(parameters: Mapping[str, Any], base: MonteCarloConfiguration | None = None) -> AmclParameters:
-    """Read AMCL's parameters, by the names of ROS 1, nav2 or Beluga; parameters that are not given stay as in `base`.
+    """Read AMCL's parameters, by the names of ROS 1 or nav2; parameters that are not given stay as in `base`.
 
     A pose whose `set_initial_pose` is false is ignored, as in nav2. A holonomic robot keeps gridslam's own motion
     model, which has noise across the motion, and its `alpha`s are ignored.
@@ -125,39 +154,38 @@ def from_amcl(parameters: Mapping[str, Any], base: MonteCarloConfiguration | Non
     Raises
     ------
     ConfigurationError
-        A name is unknown, or a value is of a wrong type or out of range.
+        A value is of a wrong type or out of range.
     """
-    unknown = [name for name in parameters if name not in AMCL_NAMES]
-    if unknown:
-        raise ConfigurationError(f"{unknown[0]}: AMCL has no such parameter{suggest_names(unknown[0], AMCL_NAMES)}")
-    _check_values(parameters)
     spelled = {_ALIASES.get(name, name): name for name in parameters}
     given = {meaning: _as_count(meaning, parameters[name]) for meaning, name in spelled.items()}
     configuration = base or MonteCarloConfiguration()
+    is_holonomic = _KINDS["odom_model_type"].get(str(given.get("odom_model_type"))) == "GMappingMotion"
+    unused = {name for name in given if is_holonomic and name.startswith("odom_alpha")}
     if isinstance(most := given.get("max_particles"), int) and 0 < most < configuration.kld.particles_min:
         given.setdefault("min_particles", most)
-    unused = {name for name in given if name in _IGNORED or (_is_holonomic(given) and name.startswith("odom_alpha"))}
-    given = {name: value for name, value in given.items() if name not in unused}
     try:
-        configuration = replace_parameters(configuration, _changes(given, configuration))
+        rest = replace_parameters(_Rest(), {name: given[name] for name in names(_Rest()) if name in given})
+        used = {name: value for name, value in given.items() if name not in unused}
+        changes = _changes(used, rest, configuration)
+        configuration = replace_parameters(configuration, nest(changes))
     except ConfigurationError as error:
         raise _with_amcl_name(error, spelled) from None
-    if "laser_lambda_short" in given and "lambda_short_per_m" not in to_table(configuration.sensor):
-        unused.add("laser_lambda_short")
     pose = None
-    if given.get("set_initial_pose", any(name in given for name in _POSE)):
-        pose = np.array([float(given.get(name, 0.0)) for name in _POSE])
+    if rest.set_initial_pose and any(name in given for name in ("set_initial_pose", *_POSE)):
+        pose = np.array([rest.initial_pose_x, rest.initial_pose_y, rest.initial_pose_a])
     else:
-        unused.update(name for name in given if name in _POSE or name in _COVARIANCE)
+        unused |= {name for name in given if name.startswith(("initial_pose", "initial_cov"))}
+    covariance = np.diag([rest.initial_cov_xx, rest.initial_cov_yy, rest.initial_cov_aa])
+    unused |= given.keys() - AMCL_NAMES | _IGNORED & given.keys()
     ignored = tuple(name for meaning, name in spelled.items() if meaning in unused)
-    return AmclParameters(configuration, pose, _read_covariance(given), ignored)
+    return AmclParameters(configuration, pose, covariance, ignored)
 
 
 def read_amcl(path: str | Path, base: MonteCarloConfiguration | None = None) -> AmclParameters:
     """Read a parameter file of AMCL as it is: of ROS 1's amcl, of nav2 or of Beluga.
 
     In a file with the parameters of many nodes those of `amcl` are read, and before them those of all nodes (`/**`).
-    `ignored` then contains the parameters that AMCL does not have, as ROS ignores them, and the names of other nodes.
+    `ignored` then contains the names of other nodes, too.
 
     Raises
     ------
@@ -167,23 +195,23 @@ def read_amcl(path: str | Path, base: MonteCarloConfiguration | None = None) -> 
         A value is of a wrong type or out of range; names file and parameter.
     """
     nodes = read_parameter_file(path)
-    robots = [name for name, _ in nodes if re.fullmatch("(.*[/_])?amcl", name)] or [name for name, _ in nodes][:1]
+    robots = [name for name, _ in nodes if name.endswith("amcl")] or [nodes[0][0]]
     if len(robots) > 1:
         raise InputError(path, f"expected the parameters of one node amcl, got {' and '.join(robots)}")
-    everybody = [name for name, _ in nodes if name.endswith("*") and name not in robots]
     values: dict[str, Any] = {}
+    others = []
     for name, table in sorted(nodes, key=lambda node: node[0] in robots):
-        if name in (*everybody, *robots):
+        if name in robots or name.endswith("*"):
             values |= {key.removeprefix("amcl."): value for key, value in table.items()}
-    known = {name: value for name, value in values.items() if name in AMCL_NAMES}
-    if not known:
+        else:
+            others.append(name)
+    if not AMCL_NAMES & values.keys():
         raise InputError(path, "expected parameters of AMCL such as max_particles, got none")
     try:
-        read = from_amcl(known, base)
+        read = from_amcl(values, base)
     except ConfigurationError as error:
         raise ConfigurationError(f"{path}: {error}") from None
-    others = [name for name, _ in nodes if name not in (*robots, *everybody)]
-    return read._replace(ignored=(*read.ignored, *(name for name in values if name not in known), *others))
+    return read._replace(ignored=(*read.ignored, *others))
 
 
 def override_configuration(configuration: MonteCarloConfiguration, assignments: Iterable[str]) -> AmclParameters:
@@ -200,35 +228,6 @@ def override_configuration(configuration: MonteCarloConfiguration, assignments: 
     return read._replace(configuration=replace_parameters(read.configuration, nest(own), AMCL_NAMES))
 
 
-_AMCL_VARIANCES = 0.25, 0.25, (math.pi / 12) ** 2
-
-
-def _read_covariance(given: Mapping[str, Any]) -> FloatArray:
-    """Return covariance (3, 3) of the initial pose; AMCL's where none is given."""
-    covariance = np.diag(_AMCL_VARIANCES)
-    for name, (row, column) in _COVARIANCE.items():
-        if name in given:
-            covariance[row, column] = covariance[column, row] = given[name]
-    if (np.linalg.eigvalsh(covariance) < 0).any():
-        raise ConfigurationError(f"initial pose: expected a covariance, got {covariance.tolist()}")
-    return covariance
-
-
-def _check_values(parameters: Mapping[str, Any]) -> None:
-    """Check that the parameters that no component takes are numbers or booleans."""
-    for name, value in parameters.items():
-        meaning = _ALIASES.get(name, name)
-        if meaning in ("selective_resampling", "set_initial_pose") and not isinstance(value, bool):
-            raise ConfigurationError(f"{name}: expected true or false, got {value!r}")
-        if meaning not in (*_POSE, *_COVARIANCE, *_SHARES, *_BINS):
-            continue
-        row, column = _COVARIANCE.get(meaning, (0, 0))
-        least = -math.inf if meaning in _POSE or row != column else 0.0
-        number = isinstance(value, int | float) and not isinstance(value, bool) and math.isfinite(value)
-        if not number or value < least:
-            raise ConfigurationError(f"{name}: expected a number{'' if least else ' >= 0'}, got {value!r}")
-
-
 def _as_count(meaning: str, value: Any) -> Any:  # noqa: ANN401
     """Convert a value as roscpp does: 500.0 is a number of particles."""
     return int(value) if meaning in _COUNTS and isinstance(value, float) and value.is_integer() else value
@@ -237,63 +236,47 @@ def _as_count(meaning: str, value: Any) -> Any:  # noqa: ANN401
 def _with_amcl_name(error: ConfigurationError, spelled: Mapping[str, str]) -> ConfigurationError:
     """Replace gridslam's name of a parameter by the one that was given."""
     path, _, problem = str(error).partition(": ")
-    places = {**_PLACES, "laser_lambda_short": "sensor.lambda_short_per_m"}
-    own = [name for meaning, name in spelled.items() if places.get(meaning, meaning) == path]
+    own = [name for meaning, name in spelled.items() if path in (meaning, _PLACES.get(meaning))]
     return ConfigurationError(f"{own[0] if own else path}: {problem}")
 
 
-def _changes(given: Mapping[str, Any], configuration: MonteCarloConfiguration) -> Table:
-    """Return nested changes to the parts."""
-    changes = _sensor(given, configuration) | _motion(given, configuration)
-    for name, value in given.items():
-        if name in _PLACES and not (name.endswith("_range") and value == -1):  # -1: the sensor's own
-            every_scan = name.startswith("update_min_") and value == 0
-            changes[_PLACES[name]] = _ALMOST_ZERO if every_scan else value
-    if "selective_resampling" in given:
-        selective = given["selective_resampling"]
-        changes["when_to_resample.kind"] = "EffectiveSampleSizeBelow" if selective else "AlwaysResample"
-    sides = [given[name] for name in _BINS[:2] if name in given]
-    if sides:
-        changes["kld.bin_m"] = min(sides)
-    if _BINS[2] in given:
-        changes["kld.bin_rad"] = given[_BINS[2]]
-    return nest(changes)
+def _changes(given: Mapping[str, Any], rest: _Rest, configuration: MonteCarloConfiguration) -> Table:
+    """Return the changes to the filter, by dotted names."""
+    changes: Table = {}
+    if any(name.startswith("odom_alpha") for name in given):
+        changes["motion.kind"] = "OdometryMotion"
+    for name, place in _PLACES.items():
+        if name in given:
+            value = given[name]
+            if name in _KINDS:
+                kinds = _KINDS[name]
+                if str(value) not in kinds:
+                    raise ConfigurationError(f"{name}: expected one of {', '.join(kinds)}, got {value!r}")
+                value = kinds[str(value)]
+            elif name.startswith("update_min_") and value == 0:
+                value = _ALMOST_ZERO
+            elif name.endswith("_range") and value == -1:  # the laser's own
+                continue
+            changes[place] = value
+    if "range_max_m" in changes:
+        changes["sensor.range_max_m"] = changes["range_max_m"]
+    return changes | _sensor(given, rest, changes, configuration)
 
 
-def _is_holonomic(given: Mapping[str, Any]) -> bool:
-    return "omni" in str(given.get("odom_model_type")).lower()
-
-
-def _motion(given: Mapping[str, Any], configuration: MonteCarloConfiguration) -> Table:
-    model = given.get("odom_model_type")
-    if _is_holonomic(given):
-        return {"motion.kind": "GMappingMotion"} if isinstance(configuration.motion, OdometryMotion) else {}
-    if model is not None and "diff" not in str(model).lower():
-        raise ConfigurationError(f"odom_model_type: expected diff or omni, got {model!r}")
-    named = model is not None or any(name.startswith("odom_alpha") for name in given)
-    return {"motion.kind": "OdometryMotion"} if named else {}
-
-
-def _sensor(given: Mapping[str, Any], configuration: MonteCarloConfiguration) -> Table:
-    """Return the sensor model; AMCL's shares need not sum to 1, and a factor on all of them changes nothing."""
-    model = given.get("laser_model_type")
-    if model not in (None, "likelihood_field", "likelihood_field_prob", "beam"):
-        raise ConfigurationError(f"laser_model_type: expected likelihood_field or beam, got {model!r}")
+def _sensor(given: Mapping[str, Any], rest: _Rest, changes: Table, configuration: MonteCarloConfiguration) -> Table:
+    """Return the shares of the sensor model; AMCL's need not sum to 1, and a factor on all of them changes nothing."""
     now = type(configuration.sensor).__name__
-    kind = now if model is None else "BeamRangeFinder" if model == "beam" else "LikelihoodField"
-    changes: Table = {"sensor.kind": kind} if kind != now else {}
-    if any(name in given for name in _SHARES):
-        before = to_table(configuration.sensor) if kind == now else {}
-        used = ("z_hit", "z_short", "z_max", "z_rand") if kind == "BeamRangeFinder" else ("z_hit", "z_rand")
-        amcl = AMCL_DEFAULTS["amcl"]
-        shares = {place: float(given.get(name, before.get(place, amcl[name]))) for name, place in _SHARES.items()}
-        total = sum(shares[place] for place in used)
-        if not total:
-            raise ConfigurationError(f"{' and '.join(used)}: expected a sum above 0, got none")
-        changes |= {f"sensor.{place}": shares[place] / total for place in used}
-        changes.setdefault("sensor.z_max", 0.0)
-    if "laser_lambda_short" in given and kind == "BeamRangeFinder":
-        changes["sensor.lambda_short_per_m"] = given["laser_lambda_short"]
-    if given.get("laser_max_range", -1) != -1:
-        changes["sensor.range_max_m"] = given["laser_max_range"]
-    return changes
+    kind = changes.get("sensor.kind", now)
+    used = _SHARES if kind == "BeamRangeFinder" else ("z_hit", "z_rand")
+    if kind != "BeamRangeFinder":
+        changes.pop("sensor.lambda_short_per_m", None)
+    if not any(f"laser_{share}" in given for share in _SHARES):
+        return {}
+    own = rest.laser_z_hit, rest.laser_z_short, rest.laser_z_max, rest.laser_z_rand
+    amcl = dict(zip(_SHARES, own, strict=True))
+    before = to_table(configuration.sensor) if kind == now else amcl
+    shares = {share: (amcl if f"laser_{share}" in given else before)[share] for share in used}
+    total = sum(shares.values())
+    if not total:
+        raise ConfigurationError(f"{' and '.join(used)}: expected a sum above 0, got none")
+    return {"sensor.z_max": 0.0} | {f"sensor.{share}": value / total for share, value in shares.items()}

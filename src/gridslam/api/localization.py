@@ -18,9 +18,9 @@ from gridslam.arguments import describe, require_instance, require_seed, require
 from gridslam.checked import checked
 from gridslam.doctor.repair import Repair, open_repaired
 from gridslam.errors import ArgumentError, InputError
-from gridslam.io.edited_maps import read_edited_map
 from gridslam.io.log import Log, LogOptions, LogSource
 from gridslam.io.log_statistics import LogStatistics
+from gridslam.io.maps import read_map
 from gridslam.io.measurement import Measurement
 from gridslam.io.output import OutputFolder
 from gridslam.io.text import compute_digest
@@ -385,7 +385,7 @@ def known_map(
         grid = source if isinstance(source, OccupancyGrid) else source.map
         return Path(), KnownMap(grid, reach_m=configuration.reach_m, threads=threads), ()
     remarks = list[str]()
-    grid = read_edited_map(source, strict_thresholds=strict_thresholds, on_remark=remarks.append)
+    grid = read_map(source, strict_thresholds=strict_thresholds, on_remark=remarks.append)
     try:
         return Path(source), KnownMap(grid, reach_m=configuration.reach_m, threads=threads), tuple(remarks)
     except ArgumentError as error:

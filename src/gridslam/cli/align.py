@@ -30,7 +30,7 @@ def align_to_folder(
             given = read_source(source, warn, floor)
         moved, is_drawn = given.surfaces, plan.suffix.lower() in SUFFIXES
         if is_drawn:
-            fixed, unit_m = read_drawn_plan(plan, unit_m)
+            fixed = read_drawn_plan(plan, unit_m)
         elif unit_m is not None:
             raise InputError(plan, "expected no --unit with a map, which is in m")
         else:

@@ -109,11 +109,9 @@ def _write(
     watch.lap("write")
     picture = draw_graph(
         solution.graph,
-        source.graph.poses,
         rejected=rejected,
         title=Path(document["input"]["path"]).name,
         caption=_caption(document),
-        heads=(f"before: chi2 {solution.chi2_before:.6g}", f"after: chi2 {solution.chi2_after:.6g}"),
         ends=(str(source.ids[0]), str(source.ids[-1])),
     )
     picture.save(folder.file(_PICTURE), optimize=False)
@@ -141,6 +139,7 @@ def _caption(document: dict[str, Any]) -> list[str]:
     rejected = f", {len(document['rejected'])} rejected" if document["robust"] else ""
     return [
         f"{_format_vertices(graph)}, {graph['edges']} edges, {graph['loop_closures']} of them loop closures{rejected}",
+        f"chi2 {document['chi2_before']:.6g} before, {document['chi2_after']:.6g} after",
         f"{document['iterations']} iterations in {document['seconds']:.3f} s: gridslam {__version__}",
     ]
 

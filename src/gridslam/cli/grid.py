@@ -9,7 +9,7 @@ from typing import Any, Literal
 from gridslam.api.grid import GridModel, GridResult, map_with_poses
 from gridslam.cli import STARTED_S
 from gridslam.cli.options import name_option
-from gridslam.cli.output import open_output, print_result, reading_progress, warn
+from gridslam.cli.output import open_output, open_progress, print_result, warn
 from gridslam.io.log import LogOptions, open_log
 from gridslam.mapping.known_poses import NoPoseReason
 from gridslam.pipeline import Stopwatch
@@ -35,7 +35,7 @@ def grid_to_folder(
     source = open_log(log, options)
     with (
         open_output(out, GridResult.all_names()) as folder,
-        reading_progress(lambda: source.statistics, shown=not as_json) as on_progress,
+        open_progress(source, shown=not as_json) as on_progress,
         name_option(half_life_scans="--decay", resolution_m="--resolution", max_gap_s="--max-gap"),
     ):
         result = map_with_poses(

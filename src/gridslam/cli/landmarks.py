@@ -11,7 +11,7 @@ from gridslam.api.landmark_localization import localize_by_landmarks
 from gridslam.api.landmarks import LandmarkMethod, ResultByLandmarks, map_landmarks
 from gridslam.cli import STARTED_S
 from gridslam.cli.options import name_option
-from gridslam.cli.output import elapsed_progress, open_output, print_result
+from gridslam.cli.output import open_output, open_progress, print_result
 from gridslam.errors import InputError
 from gridslam.io.landmark_logs import open_landmark_log
 from gridslam.pipeline import Stopwatch
@@ -45,7 +45,7 @@ def landmarks_to_folder(
     with (
         open_output(out, ResultByLandmarks.all_names()) as folder,
         name_option(particles="--particles"),
-        elapsed_progress("mapping", shown=not as_json) as on_progress,
+        open_progress(shown=not as_json) as on_progress,
     ):
         result = map_landmarks(
             source,
@@ -75,7 +75,7 @@ def _localize_to_folder(
     with (
         open_output(out, ResultByLandmarks.all_names()) as folder,
         name_option(pose="--initial-pose"),
-        elapsed_progress("localizing", shown=not as_json) as on_progress,
+        open_progress(shown=not as_json) as on_progress,
     ):
         result = localize_by_landmarks(
             source, landmarks, pose=initial_pose, unknown=unknown, on_progress=on_progress, stopwatch=watch

@@ -16,9 +16,9 @@ from gridslam.api.localization import LocalizationResult, localize
 from gridslam.cli import STARTED_S
 from gridslam.cli.live import open_viewers
 from gridslam.cli.options import name_option
-from gridslam.cli.output import open_output, print_result, reading_progress
-from gridslam.io.edited_maps import read_edited_map
+from gridslam.cli.output import open_output, open_progress, print_result
 from gridslam.io.log import LogOptions, open_log
+from gridslam.io.maps import read_map
 from gridslam.live.options import LiveOptions
 from gridslam.localization.monte_carlo import MonteCarloConfiguration
 from gridslam.pipeline import Stopwatch
@@ -58,7 +58,7 @@ def localize_to_folder(
         "repair": repair,
     }
     source = check_log(open_log(log, options), options, lambda text: viewers.report(text))
-    known = read_edited_map(map_path, strict_thresholds=strict_thresholds) if live is not None else None
+    known = read_map(map_path, strict_thresholds=strict_thresholds) if live is not None else None
     with open_viewers(
         live,
         source.path.name,
@@ -70,7 +70,7 @@ def localize_to_folder(
     ) as viewers:
         with (
             nullcontext() if out is None else open_output(out, LocalizationResult.all_names()) as folder,
-            reading_progress(lambda: source.statistics, shown=not as_json) as on_progress,
+            open_progress(source, shown=not as_json) as on_progress,
             name_option(pose="--initial-pose"),
         ):
             result = localize(

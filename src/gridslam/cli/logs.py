@@ -5,16 +5,16 @@ from __future__ import annotations
 from dataclasses import asdict
 from pathlib import Path
 
-from gridslam.api.conversion import Conversion, convert_log
+from gridslam.api.conversion import convert_log
 from gridslam.api.diagnosis import write_diagnosis
 from gridslam.cli.options import name_option
-from gridslam.cli.output import open_output, print_result, reading_progress, warn
+from gridslam.cli.output import open_output, open_progress, print_result, warn
 from gridslam.doctor import Diagnosis, Severity, diagnose
 from gridslam.doctor.report import document, text
 from gridslam.io.datasets import DATASETS, fetch_dataset, find_dataset
 from gridslam.io.log import Log, LogOptions, open_log
 
-CONVERSION_SCHEMA = "gridslam.conversion/1"
+CONVERSION_SCHEMA = "gridslam.conversion/2"
 DATASETS_SCHEMA = "gridslam.datasets/1"
 
 EXIT_FOUND_ERRORS = 3
@@ -36,47 +36,34 @@ def doctor_log(log: Path, out: Path | None, options: LogOptions, as_json: bool) 
 
 
 def _diagnose_with_progress(source: Log, shown: bool) -> Diagnosis:
-    with reading_progress(lambda: source.statistics, shown=shown) as on_progress:
+    with open_progress(source, shown=shown) as on_progress:
         return diagnose(source, on_progress=on_progress)
 
 
-def convert(log: Path, out: Path, options: LogOptions, to: str | None, as_json: bool) -> None:
-    """Convert a log and report the data that the target format cannot represent."""
+def convert(log: Path, out: Path, options: LogOptions, as_json: bool) -> None:
+    """Convert a log."""
     source = open_log(log, options)
-    with name_option(out=str(out)), reading_progress(lambda: source.statistics, shown=not as_json) as on_progress:
-        conversion = convert_log(source, out, to=to, on_progress=on_progress)
-    form = conversion.format.value
+    with name_option(out=str(out)), open_progress(source, shown=not as_json) as on_progress:
+        conversion = convert_log(source, out, on_progress=on_progress)
     read = conversion.log
     warn(*(f"{log}: {remark}" for remark in read.remarks))
     if read.truncated:
         warn(f"{log}: the log is truncated after {read.scan_count} scans")
-    if conversion.lost:
-        warn(f"{out}: lost in the format {form}: {_describe_lost(conversion)}")
     content = {
         "schema": CONVERSION_SCHEMA,
         "log": str(log),
         "out": str(out),
-        "format": form,
+        "format": conversion.format,
         "scans": read.scan_count,
         "written": conversion.scans,
         "duration_s": read.duration_s,
-        "lost": conversion.lost,
         "truncated": read.truncated,
     }
     summary = [
         f"{log}: {read.scan_count} scans, {read.duration_s:.0f} s",
-        f"{out}: {conversion.scans} {'poses' if form == 'tum' else 'scans'} in the format {form}",
+        f"{out}: {conversion.scans} scans in the format {conversion.format}",
     ]
     print_result(content, summary, as_json)
-
-
-def _describe_lost(conversion: Conversion) -> str:
-    """Describe the lost data, with the number of scans unless it was lost in all."""
-    read = conversion.log.scan_count
-    return ", ".join(
-        what if count >= min(read, conversion.scans) else f"{what} ({count} of {read})"
-        for what, count in conversion.lost.items()
-    )
 
 
 def list_datasets(as_json: bool) -> None:

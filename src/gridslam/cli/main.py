@@ -4,13 +4,15 @@ from __future__ import annotations
 
 import gc
 import sys
+import traceback
 from collections.abc import Sequence
 from contextlib import suppress
 
 import click
 
+from gridslam import __version__
 from gridslam.cli.commands import gridslam
-from gridslam.cli.output import handle_signals, is_interrupted, report_background_failures
+from gridslam.cli.output import handle_signals, is_interrupted
 from gridslam.cli.streams import close_output, open_streams
 from gridslam.errors import ConfigurationError, GridslamError, InputError
 
@@ -28,8 +30,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     Returns the exit status: 0 done, 1 failed, 2 bad usage or input, 70 a bug of gridslam, 130 interrupted.
     """
     gc.set_threshold(_GARBAGE_OBJECTS, *gc.get_threshold()[1:])
-    open_streams(own_process=arguments is None)
-    with handle_signals(until_exit=arguments is None), report_background_failures(_report_bug):
+    open_streams()
+    with handle_signals(until_exit=arguments is None):
         try:
             result = gridslam.main(arguments, prog_name="gridslam", standalone_mode=False)
             status = result if isinstance(result, int) else 0
@@ -59,15 +61,15 @@ def _report_failure(error: BaseException) -> int:
         return _print_error(str(error) or type(error).__name__, 1)
     if is_interrupted():
         return _print_error("interrupted", 130)
-    _report_bug(error)
-    return EXIT_BUG
+    return _report_bug(error)
 
 
-def _report_bug(error: BaseException) -> None:
-    """Write a report of an unexpected exception to a file, and print one line that names it."""
-    from gridslam.cli.bug_report import write_report
+def _report_bug(error: BaseException) -> int:
+    """Print the traceback of an unexpected exception, without credentials in URLs, and ask to report it."""
+    from gridslam.io.remote import mask_urls
 
-    _print_error(write_report(error), EXIT_BUG)
+    click.echo(mask_urls("".join(traceback.format_exception(error))), nl=False, err=True)
+    return _print_error(f"this is a bug of gridslam {__version__}, please report it with the lines above", EXIT_BUG)
 
 
 def _print_error(problem: str, status: int) -> int:

@@ -13,7 +13,7 @@ from gridslam.api.mapping import MapResult, map_log
 from gridslam.cli import STARTED_S
 from gridslam.cli.live import NOBODY, Viewers, open_viewers
 from gridslam.cli.options import MapOptions, name_option
-from gridslam.cli.output import counted, mapping_progress, open_output, print_result, write_apart
+from gridslam.cli.output import counted, open_output, open_progress, print_result, write_apart
 from gridslam.cli.session_options import SessionOptions
 from gridslam.io.log import Log, open_log
 from gridslam.live.options import LiveOptions
@@ -78,14 +78,14 @@ def map_with_progress(
 
     `run` maps it: `map_log` with what it needs besides, or the same of a session.
     """
-    with mapping_progress(lambda: source.statistics, shown=shown) as progress:
+    with open_progress(source, shown=shown) as on_progress:
         watching = viewers.watch(source, watch)
         result = run(
             source,
             repair=repair,
             gate=watching["gate"],
-            observers=[progress, *watching["observers"]],
-            on_progress=progress.on_progress,
+            observers=watching["observers"],
+            on_progress=on_progress,
             stopwatch=watch,
             keep_particles=viewers.page is not None,
         )

@@ -13,7 +13,6 @@ from typing import Any, Final, final
 
 import click
 
-from gridslam.cli.output import TARGETS, hold_interrupts
 from gridslam.errors import OutputError
 
 _MOST_S: Final = 9e9
@@ -79,7 +78,7 @@ class _Log(_Path):
 
 
 class _Target(_Path):
-    """A file or folder that the command writes: it must be possible to make it, and no other target may be in its way.
+    """A file or folder that the command writes: it must be possible to make it.
 
     A folder for it is made when it is written.
     """
@@ -93,24 +92,10 @@ class _Target(_Path):
         from gridslam.io.output import require_writable
 
         try:
-            with hold_interrupts():  # until the temporary folder is removed
-                require_writable(path, is_folder=self.is_folder)
+            require_writable(path, is_folder=self.is_folder)
         except OutputError as error:
             raise click.ClickException(str(error)) from None
-        if ctx is not None:
-            self._claim(path, ctx)
         return path
-
-    def _claim(self, path: Path, ctx: click.Context) -> None:
-        """Refuse a path that is another target's, or below one that is a file."""
-        claimed: dict[Path, bool] = ctx.meta.setdefault(TARGETS, {})
-        where = Path(os.path.realpath(path))
-        for other, is_folder in claimed.items():
-            is_below = other in where.parents and not is_folder
-            is_above = where in other.parents and not self.is_folder
-            if where == other or is_below or is_above:
-                raise click.ClickException(f"{path}: expected a place of its own, but {other} is written, too")
-        claimed[where] = self.is_folder
 
 
 class _TargetFolder(_Target):

@@ -294,14 +294,12 @@ _SESSION_OPTIONS = (
         "--prior",
         type=PATH,
         metavar="YAML",
-        help="Known map (map_server), or edits of one, to relocalize in and to extend.",
+        help="Known map (map_server) to relocalize in and to extend.",
     ),
 )
 _SESSION_FIELDS = ("save", "continued", "same_place", "elsewhere", "pose", "frozen", "name", "floor", "prior")
 _LOCALIZE_OPTIONS = (
-    click.option(
-        "--map", "map_path", type=PATH, required=True, help="Map YAML file (map_server or nav2), or edits of one."
-    ),
+    click.option("--map", "map_path", type=PATH, required=True, help="Map YAML file (map_server or nav2)."),
     click.option(
         "--initial-pose",
         metavar="X,Y,THETA",

@@ -3,35 +3,26 @@
 from __future__ import annotations
 
 import json
-import math
-import os
 import signal
 import sys
 import threading
 import time
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager, suppress
-from functools import partial
 from pathlib import Path
 from types import FrameType
-from typing import TYPE_CHECKING, Any, Final, TypeAlias, final
+from typing import TYPE_CHECKING, Any, TypeAlias
 
 import click
 
 from gridslam.errors import OutputError
-from gridslam.types import describe_duration
 
 if TYPE_CHECKING:
-    from gridslam.io.log_statistics import LogStatistics
+    from gridslam.io.log import Log
     from gridslam.io.output import OutputFolder
-    from gridslam.slam.grid_fastslam.state import GridFastSlamState
-    from gridslam.types import StepReport
 
-Display: TypeAlias = Callable[[Callable[[float], tuple[float | None, str]]], float]
-"""Displays the fraction and the text that its argument returns: see `open_display`."""
-
-TARGETS: Final = "gridslam.targets"
-"""Where a context of click has the targets that options name."""
+Display: TypeAlias = Callable[[Callable[[], tuple[float | None, str]]], None]
+"""Displays the share and the text that its argument returns: see `open_display`."""
 
 _BAR_EVERY_S = 0.25
 _LINE_EVERY_S = 5.0
@@ -47,16 +38,9 @@ def open_output(path: Path, names: Sequence[str] = ()) -> Iterator[OutputFolder]
     """Open OUT for files of these names before the long work; one that cannot be written is bad usage."""
     from gridslam.io.output import OutputFolder
 
-    context = click.get_current_context(silent=True)
-    targets = {} if context is None else context.meta.get(TARGETS, {})
-    for name in names:
-        if Path(os.path.realpath(path / name)) in targets:
-            raise click.ClickException(
-                f"{path / name}: expected the place of a result alone, but an option names it, too"
-            )
     with ExitStack() as stack:
         try:
-            with hold_interrupts():  # until the temporary folder is certain to be removed
+            with _hold_interrupts():  # until the temporary folder is certain to be removed
                 out = stack.enter_context(OutputFolder(path, names))
         except OutputError as error:
             raise click.ClickException(str(error)) from None
@@ -144,25 +128,6 @@ def end_by_signal() -> Iterator[None]:
         yield
 
 
-@contextmanager
-def report_background_failures(report: Callable[[BaseException], object]) -> Iterator[None]:
-    """Report exceptions of other threads and of destructors instead of printing their tracebacks.
-
-    An interrupt that comes in a destructor is not reported: `stop_if_interrupted` repeats it.
-    """
-    hooks = sys.unraisablehook, threading.excepthook
-
-    def on_failure(failure: Any) -> None:  # noqa: ANN401
-        if failure.exc_value is not None and not isinstance(failure.exc_value, KeyboardInterrupt | SystemExit):
-            report(failure.exc_value)
-
-    sys.unraisablehook = threading.excepthook = on_failure
-    try:
-        yield
-    finally:
-        sys.unraisablehook, threading.excepthook = hooks
-
-
 def _interrupt(number: int, frame: FrameType | None) -> None:
     global _interrupted
     if not _interrupted:
@@ -172,7 +137,7 @@ def _interrupt(number: int, frame: FrameType | None) -> None:
 
 
 @contextmanager
-def hold_interrupts() -> Iterator[None]:
+def _hold_interrupts() -> Iterator[None]:
     """Let an interrupt wait until the context ends."""
     global _held
     _held = True
@@ -195,133 +160,48 @@ def stop_if_interrupted() -> None:
 
 
 @contextmanager
-def mapping_progress(statistics: Callable[[], LogStatistics], *, shown: bool = True) -> Iterator[Progress]:
-    """Yield the progress of a mapping run, which prints nothing if disabled."""
-    with open_display(shown) as display:
-        yield Progress(statistics, display)
-
-
-@contextmanager
-def elapsed_progress(what: str, *, shown: bool = True) -> Iterator[Callable[[], None]]:
-    """Return a callback that shows the elapsed time where no progress is known, and stops if interrupted."""
-    with open_display(shown) as display:
-        yield _count(display, lambda steps, passed_s: (None, f"{what}: {counted(steps, 'step')} in {passed_s:.0f} s"))
-
-
-def _count(display: Display, describe: Callable[[int, float], tuple[float | None, str]]) -> Callable[[], None]:
-    """Return a callback that counts steps and displays the description of their number and the time so far."""
+def open_progress(source: Log | None = None, *, shown: bool = True) -> Iterator[Callable[[], None]]:
+    """Return a callback for each step: it shows their number and the share of a log, and stops if interrupted."""
     steps = 0
-
-    def on_progress() -> None:
-        nonlocal steps
-        steps += 1
-        display(lambda passed_s: describe(steps, passed_s))
-
-    return on_progress
-
-
-@contextmanager
-def reading_progress(statistics: Callable[[], LogStatistics], *, shown: bool = True) -> Iterator[Callable[[], None]]:
-    """Return a callback for each scan that periodically shows the progress of reading, and stops if interrupted."""
     with open_display(shown) as display:
-        yield _count(
-            display,
-            lambda scans, passed_s: (statistics().share_read, f"{scans} scans, {scans / passed_s:.0f}/s"),
-        )
 
+        def on_progress() -> None:
+            nonlocal steps
+            steps += 1
+            display(lambda: (None if source is None else source.statistics.share_read, counted(steps, "step")))
 
-@final
-class Progress:
-    """Observer that periodically shows rate, N_eff, map size and remaining time, or the final refinement."""
-
-    def __init__(self, statistics: Callable[[], LogStatistics], display: Display) -> None:
-        """Begin with no scan."""
-        self._statistics = statistics
-        self._display = display
-        self._ended_s = math.inf
-        self._scans = 0
-        self._first_ns = 0
-        self._n_eff = 0.0
-        self._latest: tuple[StepReport, GridFastSlamState] | None = None
-
-    def __call__(self, report: StepReport, state: GridFastSlamState, seconds: float) -> None:
-        """Record one scan."""
-        self._first_ns = self._first_ns if self._scans else report.stamp_ns
-        self._scans += 1
-        if report.skipped is None:
-            self._n_eff = report.n_eff
-        self._latest = report, state
-
-    def on_progress(self) -> None:
-        """Show the progress of the scan since the last call, or of the final refinement; stop if interrupted."""
-        latest = self._latest
-        self._latest = None
-        passed_s = self._display(partial(self._describe, latest))
-        if latest is None:
-            self._ended_s = min(self._ended_s, passed_s)
-
-    def _describe(self, latest: tuple[StepReport, GridFastSlamState] | None, passed_s: float) -> tuple[float, str]:
-        if latest is None:
-            return 1.0, f"{self._scans} scans; final refinement, {max(passed_s - self._ended_s, 0):.0f} s"
-        report, state = latest
-        share = self._statistics().share_read
-        height, width = state.maps.tiled(state.best).shape
-        side = state.maps.resolution_m
-        real = (report.stamp_ns - self._first_ns) * 1e-9 / passed_s
-        left = f"{describe_duration(round(passed_s * (1 - share) / share))} left" if share else ""
-        return (
-            share,
-            f"{self._scans} scans, {self._scans / passed_s:.0f}/s, {real:.0f} x real time, "
-            f"N_eff {self._n_eff:.1f} of {len(state.poses)}, "
-            f"map {width * side:.0f} x {height * side:.0f} m, {state.maps.nbytes / 1e6:.0f} MB, {left}",
-        )
+        yield on_progress
 
 
 @contextmanager
 def open_display(shown: bool) -> Iterator[Display]:
-    """Yield a function that displays a fraction, if it is known, and a text when it is time; it stops if interrupted.
+    """Yield a function that displays a share, if it is known, and a text when it is time; it stops if interrupted.
 
-    Its argument, which is not called before, returns both by the time passed so far, s; so does the function itself.
+    On a terminal that is a bar, elsewhere a line. Its argument, which is not called before, returns both.
     """
-    with ExitStack() as stack:
-        show: Callable[[float | None, str], None] = _print_line
-        every_s = _LINE_EVERY_S if shown else math.inf
-        if shown and sys.stderr.isatty():
-            show = stack.enter_context(_bar())
-            every_s = _BAR_EVERY_S
-        began = time.perf_counter()
-        due = began + every_s
+    from rich.console import Console
+    from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 
-        def display(describe: Callable[[float], tuple[float | None, str]]) -> float:
+    console = Console(stderr=True)
+    columns = BarColumn(), TextColumn("{task.description}"), TimeRemainingColumn()
+    is_bar = shown and console.is_terminal
+    with Progress(*columns, console=console, auto_refresh=False, transient=True, disable=not is_bar) as progress:
+        task = progress.add_task("")
+        due = time.perf_counter() + (_BAR_EVERY_S if is_bar else _LINE_EVERY_S)
+
+        def display(describe: Callable[[], tuple[float | None, str]]) -> None:
             nonlocal due
             stop_if_interrupted()
             now = time.perf_counter()
-            if now >= due:
-                due = now + every_s
-                show(*describe(now - began))
-            return now - began
+            if not shown or now < due:
+                return
+            due = now + (_BAR_EVERY_S if is_bar else _LINE_EVERY_S)
+            share, text = describe()
+            line = text if share is None else f"{share:4.0%}  {text}"
+            if is_bar:
+                total = None if share is None else 1.0
+                progress.update(task, completed=share or 0.0, total=total, description=line, refresh=True)
+            else:
+                print(line, file=sys.stderr, flush=True)
 
         yield display
-
-
-def _print_line(share: float | None, text: str) -> None:
-    print(_begin_line(share) + text, file=sys.stderr, flush=True)
-
-
-def _begin_line(share: float | None) -> str:
-    return "" if share is None else f"{share:4.0%}  "
-
-
-@contextmanager
-def _bar() -> Iterator[Callable[[float | None, str], None]]:
-    from rich.console import Console, Group  # only terminals pay for its import
-    from rich.live import Live
-    from rich.progress_bar import ProgressBar
-    from rich.text import Text
-
-    def shown(share: float | None, text: str) -> Group:
-        bar = ProgressBar(total=None if share is None else 1.0, completed=share or 0.0, width=60)
-        return Group(bar, Text("\n" + _begin_line(share).lstrip() + text))
-
-    with Live(shown(0.0, ""), console=Console(stderr=True), auto_refresh=False, transient=True) as live:
-        yield lambda share, text: live.update(shown(share, text), refresh=True)

@@ -13,14 +13,14 @@ from gridslam.cli.options import name_option
 from gridslam.cli.output import counted, open_output, print_result, warn
 from gridslam.errors import InputError
 from gridslam.plan.alignment import Alignment, align_points
-from gridslam.plan.changes import Changes, describe_changes, find_changes, write_changes_geojson, write_changes_png
-from gridslam.plan.exports import write_dxf, write_geojson, write_svg
+from gridslam.plan.changes import Changes, describe_changes, find_changes, write_changes_png
+from gridslam.plan.exports import write_geojson, write_svg
 from gridslam.plan.floor_plan import FloorPlan, make_plan
 from gridslam.plan.rooms import name_rooms
 from gridslam.plan.source import read_source
 
-_NAMES = "plan.svg", "plan.dxf", "plan.geojson", "plan.json"
-_CHANGES_NAMES = "changes.png", "changes.geojson", "changes.json"
+_NAMES = "plan.svg", "plan.geojson", "plan.json"
+_CHANGES_NAMES = "changes.png", "changes.json"
 _LEAST_SHARE = 0.3
 """Of a map's surfaces that must lie on the other one's: two days of one building have more than half."""
 
@@ -41,7 +41,6 @@ def plan_to_folder(
         if not plan.walls:
             raise InputError(source, "expected a map with walls, got one without a straight surface of 0.25 m")
         write_svg(folder.file("plan.svg"), plan, given.name, scale)
-        write_dxf(folder.file("plan.dxf"), plan)
         write_geojson(folder.file("plan.geojson"), plan, given.name)
         document = _describe(source, plan, scale, "cells" if given.points is None else "end points")
         folder.write_json("plan.json", document)
@@ -82,7 +81,7 @@ def _summarize(plan: FloorPlan, document: dict[str, Any], out: Path) -> Iterator
         f"; {len(looked_into)} more that were only looked into, {sum(looked_into):.0f} m\u00b2" if looked_into else ""
     )
     yield f"plan, 1:{document['scale']}: {out / 'plan.svg'}"
-    yield f"for other programs: {out / 'plan.dxf'}, {out / 'plan.geojson'}"
+    yield f"for other programs: {out / 'plan.geojson'}"
 
 
 def changes_to_folder(first: Path, second: Path, floor: str | None, out: Path, same_frame: bool, as_json: bool) -> None:
@@ -102,7 +101,6 @@ def changes_to_folder(first: Path, second: Path, floor: str | None, out: Path, s
             raise InputError(second, problem)
         changes = find_changes(maps[0].grid, maps[1].grid, alignment)
         write_changes_png(folder.file("changes.png"), changes)
-        write_changes_geojson(folder.file("changes.geojson"), changes)
         document = {
             "schema": "gridslam.changes/1",
             "first": str(first),
@@ -127,4 +125,4 @@ def _summarize_changes(changes: Changes, out: Path) -> Iterator[str]:
         own = [change.area_m2 for change in changes.changes if change.kind == kind]
         areas = ", ".join(f"{area:.2f}" for area in own[:8]) + ", ..." * (len(own) > 8)
         yield f"{kind}: " + (f"{counted(len(own), 'thing')} of {areas} m\u00b2" if own else "nothing")
-    yield f"changes: {out / 'changes.png'}, {out / 'changes.geojson'}"
+    yield f"changes: {out / 'changes.png'}, {out / 'changes.json'}"

@@ -7,34 +7,18 @@ from contextlib import contextmanager, nullcontext
 from pathlib import Path
 from typing import Any
 
-from gridslam.api.beginning import Place
 from gridslam.cli.live import node_page
 from gridslam.cli.output import end_by_signal, stop_if_interrupted
-from gridslam.errors import ConfigurationError
 from gridslam.live.options import LiveOptions
 from gridslam.ros.node.core import NodeCore
 from gridslam.ros.node.session import Localization
 from gridslam.ros.node.transport import RunOptions, ViewerOpener
 
 
-def _collect_parameters(
-    assignments: Sequence[str] = (),
-    *,
-    same_place: bool = False,
-    elsewhere: bool = False,
-    continued: Path | None = None,
-    begin_pose: tuple[float, float, float] | None = None,
-    **options: Any,  # noqa: ANN401
-) -> dict[str, Any]:
+def _collect_parameters(assignments: Sequence[str] = (), **options: Any) -> dict[str, Any]:  # noqa: ANN401
     """Return the options of the command line under the names of the node's parameters, without those not given."""
-    if same_place and (elsewhere or begin_pose is not None):
-        raise ConfigurationError("--same-place contradicts --elsewhere and --pose")
-    place = Place.SAME.value if same_place else Place.ELSEWHERE.value if elsewhere else None
-    pose = None if begin_pose is None else " ".join(map(str, begin_pose))
-    options |= {"continue": continued, "begin_at": place, "begin_pose": pose}
+    options = {"continue": options.pop("continued"), "set": ";".join(assignments), **options}
     given = {name: str(value) if isinstance(value, Path) else value for name, value in options.items()}
-    given["set"] = ";".join(assignments) or None
-    given["mode"] = None if options.get("map_file") is None else "localization"
     return {name: value for name, value in given.items() if value not in (None, "")}
 
 

@@ -16,8 +16,8 @@ from gridslam.api.session import Session
 from gridslam.cli.output import warn
 from gridslam.config import Configuration
 from gridslam.errors import ArgumentError
-from gridslam.io.edited_maps import read_edited_map
 from gridslam.io.log import Log
+from gridslam.io.maps import read_map
 from gridslam.io.sessions.drives import find_floor
 
 _OF_THE_SESSION = ("particles", "seed", "preset", "laser", "config", "assignments", "no_loop_closure")
@@ -90,7 +90,7 @@ class SessionOptions:
             session = Session(configuration, seed=seed, threads=threads)
         if self.prior is not None:
             try:
-                session.add_map(read_edited_map(self.prior, on_remark=lambda remark: warn(f"{self.prior}: {remark}")))
+                session.add_map(read_map(self.prior, on_remark=lambda remark: warn(f"{self.prior}: {remark}")))
             except ArgumentError as error:
                 raise click.ClickException(f"{self.prior}: {error}") from None
         return session

@@ -11,7 +11,7 @@ import click
 from gridslam.api.merging import MergeResult, merge_sessions
 from gridslam.api.session import Session
 from gridslam.cli.options import name_option
-from gridslam.cli.output import counted, elapsed_progress, open_output, print_result, warn, write_apart
+from gridslam.cli.output import counted, open_output, open_progress, print_result, warn, write_apart
 from gridslam.io.maps import write_map
 from gridslam.io.sessions.drives import choose_name
 from gridslam.io.sessions.session_file import read_head
@@ -93,7 +93,7 @@ def merge_to_folder(files: tuple[Path, ...], out: Path, save: Path | None, threa
     with write_apart() as write:
         with (
             open_output(out, MergeResult.all_names()) as folder,
-            elapsed_progress("merging", shown=not as_json) as on_progress,
+            open_progress(shown=not as_json) as on_progress,
         ):
             with name_option(paths="FILE", others="FILE"):
                 result = merge_sessions(files, threads=threads, on_progress=on_progress, stopwatch=watch)

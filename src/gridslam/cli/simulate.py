@@ -34,7 +34,6 @@ from gridslam.sim import (
     RobotConfig,
     make_world,
     simulate,
-    simulate_stream,
     vary_route,
 )
 from gridslam.types import Trajectory
@@ -76,7 +75,7 @@ def simulate_to_log(
                 driven = make_world(world, rng)
             else:
                 driven = vary_route(make_world(world, np.random.default_rng(world_seed)), rng)
-            log = simulate_stream(driven, RobotConfig(), OdometryNoise(), lidar, rng, people=crowd)
+            log = simulate(driven, RobotConfig(), OdometryNoise(), lidar, rng, people=crowd)
         truth = Trajectory(log.truth.stamps_ns[:scans], log.truth.poses[:scans])
         write_carmen(folder.file(out.name), islice(log.measurements, scans))
         write_tum(folder.file(truth_path.name), truth)

@@ -83,7 +83,7 @@ def run_tune(logs: Sequence[str], out: Path, given: MapOptions, tune: TuneOption
 
         def run(jobs: Sequence[Job]) -> list[dict[str, Any]]:
             def on_row(row: object) -> None:
-                display(lambda passed_s: _describe(tuner))
+                display(lambda: _describe(tuner))
 
             return run_jobs(jobs, folder, workers=tune.workers, timeout_s=tune.timeout_s, on_row=on_row)
 

@@ -6,7 +6,6 @@ from gridslam.doctor.diagnose import (
     Diagnosis,
     Doctor,
     EarlyCheck,
-    LaserFacts,
     diagnose,
 )
 from gridslam.doctor.finding import Finding, Severity
@@ -19,7 +18,6 @@ __all__ = [
     "Doctor",
     "EarlyCheck",
     "Finding",
-    "LaserFacts",
     "Repair",
     "RepairedLog",
     "Severity",

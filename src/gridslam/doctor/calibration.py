@@ -35,14 +35,12 @@ _LEAST_SPREAD = 0.1  # of the residuals, in the standard deviations assumed
 _DETERMINED = {"scale": 0.01, "turn_scale": 0.015, "drift": 0.004, "yaw": 0.03, "skew": 0.015}
 """Greatest standard deviations of determined values: a third or less of the errors that harm a map."""
 
-_BRIEF = (0.4, 0.25, 0.4)  # metres, radians, seconds of an interval: short beside the time a turn takes to begin
+_BRIEF = (0.8, 0.5, 0.8)  # metres, radians, seconds of an interval: as short as the time a turn takes
+_LAG_PASSES = 12  # with few turns each step leaves a part of the rest
 _TURNS = (1.5, 1.0, 2.0)  # long enough for odometry that comes late to catch up
 _LAGS_S = np.arange(-1.0, 1.001, 0.05)
 _UNEVEN = 0.6  # a pair of neighbours is farther apart than the usual by at most this share, or yields no turn rate
 _BACKWARD = 0.01  # with a greater share of stamps that go backward, no skew can be estimated
-_CONTRADICT = 3.5
-"""Deviations by which the skew of brief intervals must differ from that of long ones to give way to it. It is the more
-exact of the two, but where turns are few and begin in an instant the fit takes just those intervals for outliers."""
 _JITTER_S = 0.005  # of stamps, and what interpolation between them costs
 
 _WAYS = (0.5, 0.6, 2.0)
@@ -332,15 +330,6 @@ class _Turns(NamedTuple):
     skew: ParameterEstimate
 
 
-class _Lagged(NamedTuple):
-    """Turns fitted at a lag, s, its standard deviation, and how far the last step moved it."""
-
-    lag: float
-    sigma: float
-    step: float
-    fit: Fit
-
-
 def _fit_turns(motion: LaserMotion) -> _Turns:
     """Fit turns; the skew is first the lag at which they agree best, then that at which its linear term vanishes."""
     nothing = _Turns(math.nan, ParameterEstimate(1.0), ParameterEstimate(0.0), ParameterEstimate(0.0))
@@ -353,40 +342,19 @@ def _fit_turns(motion: LaserMotion) -> _Turns:
     sign = math.copysign(1.0, agreement)
     headings = cumulative_headings(motion.poses) * sign
     rates = np.zeros(len(motion)) if jittering else _rates(motion) * sign
-    brief = _fit_lags(motion, headings, rates, lag, _BRIEF)
-    if brief is None:
-        return nothing
-    long = _fit_lags(motion, headings, rates, brief.lag, _TURNS)
-    found = brief if long is None else _merge_lags(brief, long)
-    sigma = math.inf if jittering else found.sigma
-    skew = ParameterEstimate(found.lag, sigma, sigma < _DETERMINED["skew"] and abs(found.step) < 0.01)
-    fit = _fit_turns_at(motion, headings, rates, found.lag, _TURNS) or found.fit
+    step, found = math.inf, None
+    for _ in range(_LAG_PASSES):
+        found = _fit_turns_at(motion, headings, rates, lag, _BRIEF)
+        if found is None:
+            return nothing
+        step = float(np.clip(found.parameters[2] / max(abs(found.parameters[0]), 0.2), -0.1, 0.1))
+        lag += step
+    assert found is not None
+    sigma = math.inf if jittering else math.sqrt(max(found.covariance[2, 2], 0.0))
+    skew = ParameterEstimate(lag, sigma, sigma < _DETERMINED["skew"] and abs(step) < 0.01)
+    fit = _fit_turns_at(motion, headings, rates, lag, _TURNS) or found
     drift = _estimate(fit, 1, _DETERMINED["drift"])
     return _Turns(agreement, _estimate(fit, 0, _DETERMINED["turn_scale"]), drift, skew)
-
-
-def _merge_lags(brief: _Lagged, long: _Lagged) -> _Lagged:
-    """Both, or where they contradict each other the long one; as they share their data, they err alike."""
-    if abs(long.lag - brief.lag) > _CONTRADICT * math.hypot(long.sigma, brief.sigma):
-        return long
-    share = brief.sigma**2 / (brief.sigma**2 + long.sigma**2)
-    lag, sigma = ((1 - share) * a + share * b for a, b in ((brief.lag, long.lag), (brief.sigma, long.sigma)))
-    return _Lagged(lag, sigma, brief.step, brief.fit)
-
-
-def _fit_lags(
-    motion: LaserMotion, headings: FloatArray, rates: FloatArray, lag: float, reach: tuple[float, float, float]
-) -> _Lagged | None:
-    """Fit turns at the lag at which their linear term vanishes, in three steps; None where there are too few."""
-    step = 0.0
-    fit = _fit_turns_at(motion, headings, rates, lag, reach)
-    for _ in range(3):
-        if fit is None:
-            return None
-        step = float(np.clip(fit.parameters[2] / max(abs(fit.parameters[0]), 0.2), -0.1, 0.1))
-        lag += step
-        fit = _fit_turns_at(motion, headings, rates, lag, reach)
-    return None if fit is None else _Lagged(lag, _estimate(fit, 2, math.inf).sigma, step, fit)
 
 
 def _best_lag(motion: LaserMotion, lags_s: FloatArray) -> tuple[float, float]:

@@ -9,7 +9,7 @@ from dataclasses import dataclass, field
 from functools import partial
 from html import escape
 from pathlib import Path
-from typing import final
+from typing import Any, final
 
 from gridslam.checked import checked
 from gridslam.doctor.finding import Finding, Severity
@@ -26,7 +26,6 @@ from gridslam.io.log import Log, LogOptions, LogSource, open_if_path
 from gridslam.io.log_statistics import LogStatistics
 from gridslam.io.measurement import Measurement
 from gridslam.pipeline import describe_error
-from gridslam.types import FloatArray
 
 _QUICK_S = 60.0
 _QUICK_SCANS = 300
@@ -57,46 +56,6 @@ def _follows(finding: Finding, cause: Finding) -> bool:
 
 @final
 @dataclass(frozen=True, slots=True, eq=False)
-class LaserFacts:
-    """Facts about one laser.
-
-    Attributes
-    ----------
-    scans : int
-    rate_hz : float or None
-        Scans a second, pauses included.
-    beams : int
-        That most of its scans have.
-    field_of_view_rad : float
-    clockwise : bool
-        Whether its bearings fall from the first beam to the last.
-    range_min_m, range_max_m : float
-        Limits as stated; the greatest may be infinite.
-    invalid_share, no_return_share : float
-        Of all beams.
-    mounting : (3,) float64
-        As stated: [x m, y m, yaw rad] in the base frame.
-    tilt_rad : float
-        From level.
-    upside_down : bool
-    """
-
-    scans: int
-    rate_hz: float | None
-    beams: int
-    field_of_view_rad: float
-    clockwise: bool
-    range_min_m: float
-    range_max_m: float
-    invalid_share: float
-    no_return_share: float
-    mounting: FloatArray
-    tilt_rad: float
-    upside_down: bool
-
-
-@final
-@dataclass(frozen=True, slots=True, eq=False)
 class Diagnosis:
     """All findings of a log, and its facts.
 
@@ -105,8 +64,9 @@ class Diagnosis:
     path : Path
     findings : tuple of Finding
         The worst first, else as they came.
-    lasers : mapping of str to LaserFacts
-        By sensor.
+    lasers : mapping of str to dict
+        Facts about each laser by its sensor, as in the report: scans, rate_hz (scans a second, pauses included), beams,
+        field_of_view_rad, direction, range_min_m, range_max_m, invalid_share, no_return_share (of all beams), mounting.
     statistics : LogStatistics
         What the reader met.
     metres, radians : float
@@ -115,7 +75,7 @@ class Diagnosis:
 
     path: Path
     findings: tuple[Finding, ...]
-    lasers: Mapping[str, LaserFacts]
+    lasers: Mapping[str, dict[str, Any]]
     statistics: LogStatistics
     metres: float
     radians: float
@@ -134,6 +94,11 @@ class Diagnosis:
     def faults(self) -> tuple[Finding, ...]:
         """The findings that are more than information."""
         return tuple(finding for finding in self.findings if finding.is_fault)
+
+    @property
+    def scans(self) -> int:
+        """Scans of all lasers."""
+        return sum(facts["scans"] for facts in self.lasers.values())
 
     @property
     def worst(self) -> Severity:
@@ -162,25 +127,34 @@ class _Laser:
         self.mounting.take(scan.geometry)
         self.breaks.take(measurement)
 
-    def facts(self) -> LaserFacts:
+    def facts(self) -> dict[str, Any]:
+        """Return facts about the laser as JSON values; unknown or unlimited values are None."""
         beams = max(self.beams.beams, 1)
         geometry = self.mounting.geometry
         bearings = geometry.bearings
-        rate_hz = self.stamps.rate_hz
-        return LaserFacts(
-            self.beams.scans,
-            rate_hz if math.isfinite(rate_hz) else None,
-            self.beams.usual_count,
-            field_of_view_rad(bearings),
-            len(bearings) > 1 and bool(bearings[0] > bearings[-1]),
-            self.ranges.range_min_m,
-            self.ranges.range_max_m,
-            self.beams.invalid / beams,
-            self.beams.no_return / beams,
-            planar_mounting(geometry),
-            self.mounting.tilt_rad,
-            bool(geometry.base_from_laser[2, 2] < 0),
-        )
+        x, y, yaw = planar_mounting(geometry).tolist()
+        return {
+            "scans": self.beams.scans,
+            "rate_hz": _finite(self.stamps.rate_hz),
+            "beams": self.beams.usual_count,
+            "field_of_view_rad": field_of_view_rad(bearings),
+            "direction": "clockwise" if len(bearings) > 1 and bearings[0] > bearings[-1] else "counter-clockwise",
+            "range_min_m": self.ranges.range_min_m,
+            "range_max_m": _finite(self.ranges.range_max_m),
+            "invalid_share": self.beams.invalid / beams,
+            "no_return_share": self.beams.no_return / beams,
+            "mounting": {
+                "x_m": x,
+                "y_m": y,
+                "yaw_rad": yaw,
+                "tilt_rad": self.mounting.tilt_rad,
+                "upside_down": bool(geometry.base_from_laser[2, 2] < 0),
+            },
+        }
+
+
+def _finite(value: float) -> float | None:
+    return value if math.isfinite(value) else None
 
 
 @final

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from typing import final
 
@@ -119,20 +120,5 @@ def interpolate_odometry(motion: LaserMotion, seconds: float) -> FloatArray:
     if fresh.sum() < 3:
         return np.full_like(poses, np.nan)
     seen = np.maximum.accumulate((motion.stamps_ns - first_ns) * 1e-9)
-    return _hermite(reported[fresh], poses[fresh], seen - seconds)
-
-
-def _hermite(times: FloatArray, values: FloatArray, at: FloatArray) -> FloatArray:
-    """Cubic interpolation of values (K, D) with the slopes of the parabola through each three; NaN beyond the ends."""
-    width = np.diff(times)
-    slopes = np.gradient(values, times, axis=0)
-    left = np.clip(np.searchsorted(times, at, side="right") - 1, 0, len(width) - 1)
-    h = width[left, None]
-    u = ((at - times[left]) / width[left])[:, None]
-    found: FloatArray = (
-        values[left] * (1 + 2 * u) * (1 - u) ** 2
-        + values[left + 1] * u**2 * (3 - 2 * u)
-        + h * (slopes[left] * u * (1 - u) ** 2 - slopes[left + 1] * u**2 * (1 - u))
-    )
-    found[(at < times[0]) | (at > times[-1])] = np.nan
-    return found
+    columns = [np.interp(seen - seconds, reported[fresh], some, math.nan, math.nan) for some in poses[fresh].T]
+    return np.stack(columns, axis=1)

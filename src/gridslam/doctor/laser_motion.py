@@ -11,15 +11,13 @@ from typing import final
 import numpy as np
 
 from gridslam.doctor.laser_odometry import LaserOdometry
-from gridslam.doctor.lasers import field_of_view_rad, planar_mounting
+from gridslam.doctor.lasers import planar_mounting
 from gridslam.geometry.se2 import adjoint
 from gridslam.io.measurement import Measurement
-from gridslam.matching.beam_order import MIN_TURN_RAD, BeamOrder
 from gridslam.matching.gauss_newton import MIN_INFORMATION
 from gridslam.types import FloatArray, IntArray, LaserScan, ScanGeometry
 
 _MOST_BEAMS = 360
-_ORDER_SCANS = 300  # informative scans whose order of beams is tried: more cost time and change nothing
 RANGES_M = (0.05, 30.0)
 _FEWEST_BEAMS = 20
 _STRETCH = 500  # scans that are matched, or skipped, together
@@ -86,56 +84,6 @@ class LaserMotion:
 
 @final
 @dataclass(slots=True)
-class BeamTimes:
-    """Beam times of a laser: as reported by its scans, or as of a mirror that turns once per scan.
-
-    Attributes
-    ----------
-    order : BeamOrder
-        Estimate from the scans.
-    period_s : float
-        Time from scan to scan, lately; NaN before the second.
-    """
-
-    order: BeamOrder = field(default_factory=BeamOrder)
-    period_s: float = math.nan
-    _last_ns: int | None = None
-
-    def update(self, scan: LaserScan) -> None:
-        """Take the stamp of the next scan."""
-        seconds = 0.0 if self._last_ns is None else (scan.stamp_ns - self._last_ns) * 1e-9
-        self._last_ns = scan.stamp_ns
-        if seconds > 0:
-            before = seconds if math.isnan(self.period_s) else self.period_s
-            self.period_s = before + 0.1 * (min(seconds, 2 * before) - before)
-
-    def sweep_s(self, scan: LaserScan) -> float:
-        """Presumed time of a scan: its field of view of a turn; NaN where it is not known."""
-        return field_of_view_rad(scan.geometry.bearings) / math.tau * self.period_s
-
-    def of(self, scan: LaserScan, beams: IntArray) -> FloatArray | None:
-        """Return times (K,) of beams (K,), relative to their mean, s; None where they are not known."""
-        if not len(beams):
-            return None
-        times = scan.beam_times_s
-        found = np.asarray(beams * (self.sweep_s(scan) / len(scan)) if times is None else times[beams])
-        return None if math.isnan(found[0]) else found - found.mean()
-
-    def is_informative(self, turned_rad: float) -> bool:
-        """Return whether a scan in which the robot turns so much is to be tried in each order."""
-        return abs(turned_rad) > MIN_TURN_RAD and self.order.scans < _ORDER_SCANS
-
-    def deskew_times(self, times_s: FloatArray | None) -> FloatArray | None:
-        """Return the times (K,) by which to deskew a scan, in the order that is certain; None before, also if reported.
-
-        Scans deskewed in the wrong order would build a map that they fit best.
-        """
-        swept = self.order.sweep_factor
-        return None if times_s is None or not swept else math.copysign(1.0, swept) * times_s
-
-
-@final
-@dataclass(slots=True)
 class LaserMotionEstimator:
     """Processes the scans of one laser; `motion` is available at any time.
 
@@ -146,15 +94,9 @@ class LaserMotionEstimator:
     ----------
     rate_hz : float
         Scans that come faster are thinned out: at 40 Hz every other one is matched.
-
-    Attributes
-    ----------
-    times : BeamTimes
-        Beam times, by which scans are deskewed.
     """
 
     rate_hz: float = 21.0
-    times: BeamTimes = field(default_factory=BeamTimes)
     _odometry: LaserOdometry = field(default_factory=LaserOdometry)
     _rows: array[float] = field(default_factory=lambda: array("d"))  # pose, share, track, odometry, information
     _stamps: array[int] = field(default_factory=lambda: array("q"))  # of the pose, of the odometry
@@ -175,7 +117,6 @@ class LaserMotionEstimator:
         """Take the next scan and its odometry."""
         odometry, scan = measurement
         self._scans += 1
-        self.times.update(scan)
         if self._stamps and 0 <= scan.stamp_ns - self._last_ns < 1e9 / self.rate_hz:
             return
         stretch = self._thinned // _STRETCH
@@ -189,27 +130,16 @@ class LaserMotionEstimator:
             return
         middle_s = 0.0 if scan.beam_times_s is None else float(scan.beam_times_s[beams].mean())
         stamp_ns = scan.stamp_ns + round(1e9 * middle_s)
-        information, share = self._match_scan(stamp_ns, ends, scan, beams)
+        information, share = np.zeros((3, 3)), 0.0
+        if self._passed_over:
+            self._odometry.begin(stamp_ns, ends)
+        else:
+            information, share = self._odometry.step(stamp_ns, ends)
         self._passed_over = False
         reported = (math.nan,) * 3 if odometry is None else odometry.pose
         self._rows.extend((*self._odometry.pose, share, self._odometry.track, *reported, *information.ravel()))
         self._stamps.extend((stamp_ns, scan.stamp_ns if odometry is None else odometry.stamp_ns))
         self._last_ns = scan.stamp_ns
-
-    def _match_scan(
-        self, stamp_ns: int, ends: FloatArray, scan: LaserScan, beams: IntArray
-    ) -> tuple[FloatArray, float]:
-        """Match ends (K, 2), and try in which order their beams were measured."""
-        if self._passed_over:
-            self._odometry.begin(stamp_ns, ends)
-            return np.zeros((3, 3)), 0.0
-        times_s = self.times.of(scan, beams)
-        information, share = self._odometry.step(stamp_ns, ends, self.times.deskew_times(times_s))
-        if share and times_s is not None:
-            turned_rad = self._odometry.turn_rate * float(np.ptp(times_s))
-            if self.times.is_informative(turned_rad):
-                self.times.order = self.times.order.add(*self._odometry.score_orders(ends, times_s))
-        return information, share
 
     def _ends(self, scan: LaserScan) -> tuple[FloatArray, IntArray]:
         """Return ends (K, 2) of at most 360 beams in the laser's frame, and which beams (K,) they are."""

@@ -7,14 +7,12 @@ A laser whose beams are read in the wrong direction sees the mirrored world, and
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from typing import final
 
 import numpy as np
 
 from gridslam.geometry.se2 import between, compose, exp, log
 from gridslam.mapping.occupancy_grid_mapping import OccupancyGridMapping
-from gridslam.matching.beam_order import ORDERS
 from gridslam.matching.gauss_newton import NO_PRIOR, GaussNewton
 from gridslam.models.inverse_sensor import InverseSensorModel
 from gridslam.types import FloatArray, Match, StoredScan
@@ -54,7 +52,6 @@ class LaserOdometry:
     __slots__ = (
         "_active",
         "_backward",
-        "_due",
         "_inserted",
         "_maps",
         "_period_s",
@@ -77,7 +74,6 @@ class LaserOdometry:
         """Begin a track with a scan's ends (K, 2) in the laser's frame, m."""
         self._maps.clear(0)
         self._maps.clear(1)
-        self._due: FloatArray | None = None
         self.pose = self._twist = np.zeros(3)
         self._stamp_ns = stamp_ns
         self._active = 0
@@ -85,18 +81,11 @@ class LaserOdometry:
         self.track += 1
         self._insert(ends)
 
-    def step(self, stamp_ns: int, ends: FloatArray, times_s: FloatArray | None = None) -> tuple[FloatArray, float]:
+    def step(self, stamp_ns: int, ends: FloatArray) -> tuple[FloatArray, float]:
         """Match a scan; return the information (3, 3) of the match (see `Match`) and the share of agreeing beams.
 
-        `times_s` (K,) are those of the ends relative to `stamp_ns`. They must have a mean of 0: a scan moved to its
-        begin or end by the twist would in turn change the twist, from scan to scan by ever more. The share is 0 where
-        the track was lost and this scan begins another.
+        The share is 0 where the track was lost and this scan begins another.
         """
-        if self._due is not None:
-            self._insert(self._due)
-            self._due = None
-        if times_s is not None:
-            ends = ends + self._deskew(ends, times_s)
         seconds = self._passed(stamp_ns)
         predicted = compose(self.pose, exp(self._twist * seconds))
         match = self._match(_ROUGH, predicted[None], ends)
@@ -113,27 +102,8 @@ class LaserOdometry:
         self.pose = pose
         apart = np.abs(between(self._inserted, pose))
         if np.hypot(apart[0], apart[1]) >= _INSERT_M or apart[2] >= _INSERT_RAD:
-            self._due = ends
+            self._insert(ends)
         return match.information[0], share
-
-    def score_orders(self, ends: FloatArray, times_s: FloatArray) -> Iterator[float]:
-        """Yield inlier ratios of a scan's ends (K, 2), measured at `times_s` (K,), where the last `step` found it.
-
-        One for each of `gridslam.matching.beam_order.ORDERS`.
-        """
-        moved = self._deskew(ends, times_s)
-        for order in ORDERS:
-            yield float(self._match(_FINE, self.pose[None], ends + order * moved).score[0]) / len(ends)
-
-    @property
-    def turn_rate(self) -> float:
-        """How fast the laser turns, rad/s."""
-        return float(self._twist[2])
-
-    def _deskew(self, ends: FloatArray, times_s: FloatArray) -> FloatArray:
-        """Return the displacement of ends (K, 2) by the motion at `times_s` (K,)."""
-        vx, vy, omega = self._twist.tolist()
-        return times_s[:, None] * np.stack([vx - omega * ends[:, 1], vy + omega * ends[:, 0]], axis=1)
 
     def _passed(self, stamp_ns: int) -> float:
         """Return seconds since the last scan; the usual ones where stamps jitter so much that they go backward."""

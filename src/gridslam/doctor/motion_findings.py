@@ -16,7 +16,6 @@ from gridslam.doctor.intervals import turn_rates
 from gridslam.doctor.laser_motion import LaserMotion, LaserMotionEstimator
 from gridslam.doctor.range_units import UNITS
 from gridslam.io.measurement import Measurement
-from gridslam.types import ScanGeometry
 
 _OF_WHEELS = {"odometry_scale", "odometry_rotation_bias", "odometry_drift"}
 _SMEAR_RAD = 0.02  # over a scan: 10 cm at 5 m, two cells
@@ -47,60 +46,37 @@ _TURNED_RAD = 1.2  # one corner suffices
 @final
 @dataclass(slots=True)
 class _Laser:
-    """One laser: its motion, and the duration of a scan, reported or assumed."""
+    """One laser: its motion, and the time that its latest scan took, s; NaN where no beam has a time."""
 
     estimator: LaserMotionEstimator = field(default_factory=LaserMotionEstimator)
-    geometry: ScanGeometry | None = None
-    has_beam_times: bool = False
     sweep_s: float = math.nan
 
     def take(self, measurement: Measurement) -> None:
-        scan = measurement.scan
         self.estimator.add(measurement)
-        if len(scan) and (scan.geometry is not self.geometry or math.isnan(self.sweep_s)):
-            times = scan.beam_times_s
-            self.geometry = scan.geometry
-            self.has_beam_times = times is not None
-            self.sweep_s = self.estimator.times.sweep_s(scan) if times is None else float(np.ptp(times))
+        times = measurement.scan.beam_times_s
+        if times is not None and len(times):
+            self.sweep_s = float(np.ptp(times))
 
     def findings(self) -> list[Finding] | None:
         """Findings of this laser; None if its motion is not reliable."""
         motion = self.estimator.motion
-        if self.geometry is None or len(motion) < 2:
+        if len(motion) < 2:
             return None
         calibration = calibrate(motion)
-        skewed = self._skewed(motion)
-        found = [*([skewed] if skewed else []), *motion_findings(motion, calibration)]
+        found = [*_skewed(motion, self.sweep_s), *motion_findings(motion, calibration)]
         return found if found or calibration.scale.determined else None
 
-    def _skewed(self, motion: LaserMotion) -> Finding | None:
-        """Find scans that are skewed by turning, and whether the log allows deskewing."""
-        rates = np.abs(turn_rates(motion))
-        fast = float(np.quantile(rates, _FASTEST))
-        size = fast * self.sweep_s
-        sweep_factor = self.estimator.times.order.sweep_factor
-        if not size >= _SMEAR_RAD or not (self.has_beam_times or sweep_factor):
-            return None
-        about = "" if self.has_beam_times else "about "
+
+def _skewed(motion: LaserMotion, sweep_s: float) -> Iterator[Finding]:
+    """Yield how far the robot turns while a scan is taken, where that would bend walls."""
+    fast = float(np.quantile(np.abs(turn_rates(motion)), _FASTEST))
+    size = fast * sweep_s
+    if size >= _SMEAR_RAD:
         message = (
-            f"A scan takes {about}{1e3 * self.sweep_s:.0f} ms, in which the robot turns by up to {size:.2f} rad "
-            f"({fast:.1f} rad/s)"
+            f"A scan takes {1e3 * sweep_s:.0f} ms, in which the robot turns by up to {size:.2f} rad ({fast:.1f} "
+            "rad/s); each beam has its time, and the scans are deskewed."
         )
-        if self.has_beam_times:
-            message += "; each beam has its time, and the scans are deskewed"
-            if sweep_factor < 0:
-                message += ", but by their reverse, which fits better: the driver reports them in reverse order"
-            return Finding("skewed_while_turning", Severity.INFO, message + ".", size, "rad", "", motion.sensor)
-        return Finding(
-            "skewed_while_turning",
-            Severity.WARNING,
-            f"{message}, and the log has no beam times: walls are bent.",
-            size,
-            "rad",
-            "Configure the driver to publish time_increment so that scans can be deskewed; until then turn more "
-            "slowly.",
-            motion.sensor,
-        )
+        yield Finding("skewed_while_turning", Severity.INFO, message, size, "rad", "", motion.sensor)
 
 
 @final

@@ -27,7 +27,6 @@ from gridslam.types import BeamStatus, FloatArray, ScanGeometry
 
 _EARLY_SCANS = 1000
 _EARLY = (8.0, 6.0)  # m, rad
-_LOOKS = ((2.0, 1.6), (4.0, 3.2))  # m, rad: a log without faults is recognized sooner
 _EARLY_HZ = 7.0  # every other scan of 10 Hz is as informative
 _NO_ODOMETRY_SCANS = 50
 _SURELY_REFLECTED = -0.7
@@ -118,28 +117,14 @@ def describe_disagreement(calibration: MotionCalibration) -> str:
     return ""
 
 
-def _is_clean(calibration: MotionCalibration) -> bool:
-    """Return whether neither fault of `find_needed_repair` can be there."""
-    yaw = calibration.yaw_rad
-    upright = calibration.agreement > -_SURELY_REFLECTED and calibration.laser_rad > _TURNED_RAD
-    return upright and yaw.determined and abs(yaw.value) + _SIGMAS * yaw.sigma < _SPOILING_YAW_RAD
-
-
-def _may_be_gross(calibration: MotionCalibration) -> bool:
-    """Return whether a scale is so far off that `describe_disagreement` would report it, were it determined."""
-    return max(abs(estimate.value - 1) for estimate in (calibration.scale, calibration.turn_scale)) > _GROSS
-
-
 def calibrate_early(measurements: Iterable[Measurement]) -> MotionCalibration:
     """Calibrate with the beginning of a log: until 8 m and 6 rad of odometry, or 1000 scans of the first laser.
 
-    That settles the two faults of `find_needed_repair` in a fraction of a second, and mostly after 2 m and 1.6 rad
-    where neither is there; a log without odometry settles neither.
+    That settles the faults of `find_needed_repair` in a fraction of a second; a log without odometry settles none.
     """
     estimator = LaserMotionEstimator(rate_hz=_EARLY_HZ)
     last: FloatArray | None = None
     moved = np.zeros(2)
-    looks = list(_LOOKS)
     end = np.array(_EARLY)
     for measurement in _of_first_laser(measurements):
         estimator.add(measurement)
@@ -156,11 +141,6 @@ def calibrate_early(measurements: Iterable[Measurement]) -> MotionCalibration:
             if found.laser_rad > _TURNED_RAD:
                 return found
             end *= 2  # the turns of the odometry are none
-        if looks and (moved > looks[0]).all():
-            looks.pop(0)
-            found = calibrate(estimator.motion)
-            if _is_clean(found) and not _may_be_gross(found):
-                return found
     return calibrate(estimator.motion)
 
 

@@ -4,14 +4,16 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
+from dataclasses import asdict
 from typing import Any
 
 from gridslam import __version__
-from gridslam.doctor.diagnose import Diagnosis, LaserFacts
+from gridslam.doctor.diagnose import Diagnosis
 from gridslam.doctor.finding import Finding, Severity, percent
 from gridslam.io.remote import find_origin
 
 SCHEMA = "gridslam.doctor/3"
+_LEVEL_DEG = 0.5
 
 _HEADS = {
     Severity.ERROR: "Faults that make the map unusable",
@@ -28,11 +30,11 @@ def document(diagnosis: Diagnosis) -> dict[str, Any]:
         "version": __version__,
         "log": {
             "path": find_origin(diagnosis.path) or str(diagnosis.path),
-            "scans": sum(facts.scans for facts in diagnosis.lasers.values()),
+            "scans": diagnosis.scans,
             "duration_s": statistics.duration_s,
             "odometry_length_m": diagnosis.metres,
             "odometry_turns_rad": diagnosis.radians,
-            "lasers": {sensor: _laser(facts) for sensor, facts in diagnosis.lasers.items()},
+            "lasers": dict(diagnosis.lasers),
         },
         "worst": diagnosis.worst.value,
         "counts": {s.value: sum(f.severity is s for f in diagnosis.findings) for s in Severity},
@@ -40,33 +42,10 @@ def document(diagnosis: Diagnosis) -> dict[str, Any]:
     }
 
 
-def _laser(facts: LaserFacts) -> dict[str, Any]:
-    x, y, yaw = facts.mounting.tolist()
-    return {
-        "scans": facts.scans,
-        "rate_hz": facts.rate_hz,
-        "beams": facts.beams,
-        "field_of_view_rad": facts.field_of_view_rad,
-        "direction": "clockwise" if facts.clockwise else "counter-clockwise",
-        "range_min_m": facts.range_min_m,
-        "range_max_m": facts.range_max_m if math.isfinite(facts.range_max_m) else None,
-        "invalid_share": facts.invalid_share,
-        "no_return_share": facts.no_return_share,
-        "mounting": {"x_m": x, "y_m": y, "yaw_rad": yaw, "tilt_rad": facts.tilt_rad, "upside_down": facts.upside_down},
-    }
-
-
 def _finding(finding: Finding) -> dict[str, Any]:
     size = finding.size
-    return {
-        "code": finding.code,
-        "severity": finding.severity.value,
-        "size": size if size is not None and math.isfinite(size) else None,
-        "unit": finding.unit,
-        "message": finding.message,
-        "remedy": finding.remedy,
-        "sensor": finding.sensor,
-    }
+    finite = size if size is not None and math.isfinite(size) else None
+    return {**asdict(finding), "severity": finding.severity.value, "size": finite}
 
 
 def text(diagnosis: Diagnosis) -> list[str]:
@@ -99,27 +78,29 @@ def _count(number: int, noun: str) -> str:
 
 
 def _head(diagnosis: Diagnosis) -> str:
-    scans = sum(facts.scans for facts in diagnosis.lasers.values())
     turns = math.degrees(diagnosis.radians)
     return (
-        f"{diagnosis.path.name}: {scans} scans in {diagnosis.statistics.duration_s:.0f} s, {diagnosis.metres:.1f} m "
-        f"and {turns:.0f} degrees of odometry"
+        f"{diagnosis.path.name}: {diagnosis.scans} scans in {diagnosis.statistics.duration_s:.0f} s, "
+        f"{diagnosis.metres:.1f} m and {turns:.0f} degrees of odometry"
     )
 
 
 def _facts(diagnosis: Diagnosis) -> Iterator[str]:
     for sensor, facts in diagnosis.lasers.items():
-        x, y, yaw = facts.mounting.tolist()
-        rate = "unknown rate" if facts.rate_hz is None else f"{facts.rate_hz:.3g} scans/s"
-        turns = "clockwise" if facts.clockwise else "counter-clockwise"
+        rate = "unknown rate" if facts["rate_hz"] is None else f"{facts['rate_hz']:.3g} scans/s"
+        farthest = "inf" if facts["range_max_m"] is None else f"{facts['range_max_m']:g}"
         yield (
-            f"{sensor}: {rate}, {facts.beams} beams over {math.degrees(facts.field_of_view_rad):.0f} degrees {turns}, "
-            f"range {facts.range_min_m:g} to {facts.range_max_m:g} m; {percent(facts.no_return_share)} of the beams "
-            f"return nothing, {percent(facts.invalid_share)} are invalid"
+            f"{sensor}: {rate}, {facts['beams']} beams over {math.degrees(facts['field_of_view_rad']):.0f} degrees "
+            f"{facts['direction']}, range {facts['range_min_m']:g} to {farthest} m; "
+            f"{percent(facts['no_return_share'])} of the beams return nothing, "
+            f"{percent(facts['invalid_share'])} are invalid"
         )
-        level = "upside down" if facts.upside_down else "upright"
-        tilt = f", tilted by {math.degrees(facts.tilt_rad):.1f} degrees" if facts.tilt_rad > math.radians(0.5) else ""
-        yield f"  mounted at x {x:.3f} m, y {y:.3f} m, yaw {math.degrees(yaw):.1f} degrees, {level}{tilt}"
+        at = facts["mounting"]
+        level = "upside down" if at["upside_down"] else "upright"
+        tilt_deg = math.degrees(at["tilt_rad"])
+        tilt = f", tilted by {tilt_deg:.1f} degrees" if tilt_deg > _LEVEL_DEG else ""
+        yaw_deg = math.degrees(at["yaw_rad"])
+        yield f"  mounted at x {at['x_m']:.3f} m, y {at['y_m']:.3f} m, yaw {yaw_deg:.1f} degrees, {level}{tilt}"
 
 
 def _title(finding: Finding) -> str:

@@ -10,43 +10,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gridslam.errors import InputError
-from gridslam.io.edits import Edit, Edits, read_edits
-from gridslam.io.maps import read_map, read_map_description
+from gridslam.io.edits import Edit, Edits
+from gridslam.io.maps import read_map_description
 from gridslam.io.text import compute_digest
 from gridslam.types import OccupancyGrid
 
 _BoolArray: TypeAlias = NDArray[np.bool_]
-SUFFIX = ".geojson"
 _SURE_LOG_ODDS = 4.6  # of probability 0.99, as maps are read
-
-
-def read_edited_map(
-    path: str | Path, *, strict_thresholds: bool = False, on_remark: Callable[[str], None] = lambda remark: None
-) -> OccupancyGrid:
-    """Read a map; of edits (``.geojson``) the map that they name, with its walls drawn and its areas erased.
-
-    Raises
-    ------
-    InputError
-        As `read_map`, `read_edits` and `check_edits`.
-    """
-    if Path(path).suffix != SUFFIX:
-        return read_map(path, strict_thresholds=strict_thresholds, on_remark=on_remark)
-    grid, edits, _ = read_map_of_edits(path, strict_thresholds=strict_thresholds, on_remark=on_remark)
-    return apply_edits(grid, edits)
-
-
-def read_map_of_edits(
-    path: str | Path, *, strict_thresholds: bool = False, on_remark: Callable[[str], None] = lambda remark: None
-) -> tuple[OccupancyGrid, Edits, Path]:
-    """Read edits and the map that they name, as it is, and its YAML file."""
-    edits = read_edits(path)
-    own = Path(path).parent / edits.map_name
-    if own.suffix not in (".yaml", ".yml"):
-        raise InputError(path, f"expected the YAML file of a map in its member map, got {edits.map_name or 'none'!r}")
-    grid = read_map(own, strict_thresholds=strict_thresholds, on_remark=on_remark)
-    check_edits(edits, path, own, grid, on_remark)
-    return grid, edits, own
 
 
 def check_edits(

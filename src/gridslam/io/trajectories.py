@@ -22,7 +22,6 @@ from gridslam.io.tables import (
     upper_of_symmetric,
 )
 from gridslam.io.text import read_numbered_lines
-from gridslam.kernels import backend
 from gridslam.types import FloatArray, IntArray, Trajectory
 
 if TYPE_CHECKING:
@@ -33,9 +32,9 @@ CSV_HEADER = (
 )
 """First line of a trajectory in CSV: the columns with their units."""
 
-_FIXED_IN_TUM = np.array([True, True, False, False, False, True, True])
-_FIXED_IN_CSV = np.arange(9) < 3
-"""Columns of nine decimals, the poses; others have nine significant digits, or are 0."""
+_TUM_ROW = "%s%d.%09d" + " %.9f" * 2 + " %.9g" * 3 + " %.9f" * 2 + "\n"
+_CSV_ROW = "%s%d.%09d" + ",%.9f" * 3 + ",%.9g" * 6 + "\n"
+"""Sign, seconds and nanoseconds of the stamp, poses of nine decimals; covariances have nine significant digits."""
 _PLANAR = (1e-3, 1e-3, 1e-3)  # m, rad, rad
 _DIGITS_OF_NS = 17  # since 1973; in s it would be a time of a billion years
 _DECIMALS = {13: 3, 16: 6}  # of a whole number of ms or us since 1970, by its digits
@@ -59,7 +58,14 @@ def write_tum(path: str | Path, trajectory: Trajectory) -> None:
     values[:, :2] = trajectory.poses[:, :2]
     values[:, 5] = list(map(math.sin, half))
     values[:, 6] = list(map(math.cos, half))
-    Path(path).write_bytes(backend.format_rows(trajectory.stamps_ns, values, _FIXED_IN_TUM, " "))
+    Path(path).write_bytes(_format_rows(_TUM_ROW, trajectory.stamps_ns, values))
+
+
+def _format_rows(form: str, stamps_ns: IntArray, values: FloatArray) -> bytes:
+    """Return a line for each row, of its stamp in s, exact to the nanosecond, and its values (N, K)."""
+    rows = zip(stamps_ns.tolist(), values.tolist(), strict=True)
+    lines = (form % ("-" if stamp < 0 else "", *divmod(abs(stamp), 10**9), *row) for stamp, row in rows)
+    return "".join(lines).encode()
 
 
 def read_trajectory(path: str | Path, stamps_ns: IntArray | None = None) -> Trajectory:
@@ -193,7 +199,7 @@ def write_trajectory_csv(path: str | Path, trajectory: Trajectory, covariances: 
     if covariances.shape != (len(trajectory), 3, 3):
         raise ArgumentError("covariances", f"shape ({len(trajectory)}, 3, 3)", covariances.shape)
     values = np.concatenate([trajectory.poses, upper_of_symmetric(covariances)], axis=1)
-    lines = backend.format_rows(trajectory.stamps_ns, values, _FIXED_IN_CSV, ",")
+    lines = _format_rows(_CSV_ROW, trajectory.stamps_ns, values)
     with Path(path).open("wb") as file:
         file.write(f"{CSV_HEADER}\n".encode())
         file.write(lines)

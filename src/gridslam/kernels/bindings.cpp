@@ -12,11 +12,7 @@
 #include <optional>
 #include <vector>
 
-#include "beams.hpp"
-#include "clusters.hpp"
 #include "correlate.hpp"
-#include "descriptors.hpp"
-#include "numbers.hpp"
 #include "several_scans.hpp"
 #include "surfaces.hpp"
 #include "update.hpp"
@@ -95,18 +91,6 @@ Maps view(const Roots& roots, nb::tuple first, const Pages& pages, const StoredL
 #define GRIDSLAM_MAPS_ARGS                                                                                \
   nb::arg("roots").noconvert(), "first"_a, nb::arg("pages").noconvert(), nb::arg("log_odds").noconvert(), \
       nb::arg("field").noconvert()
-
-// Short enough to keep the GIL: a scan takes microseconds.
-auto py_select_beams(Vector ranges, Array<const uint8_t, 1> status, Points directions, Pair origin, double min_m,
-                     double max_m) {
-  const size_t n = ranges.shape(0);
-  require(status.shape(0) == n && directions.shape(0) == n, "status, directions: expected one for each range");
-  auto* const indices = new int64_t[n];
-  auto* const ends = new double[2 * n];
-  const size_t k =
-      select_beams(ranges.data(), status.data(), n, directions.data(), origin.data(), min_m, max_m, indices, ends);
-  return std::make_tuple(owning<int64_t, 1>(indices, {k}), owning<double, 2>(ends, {k, 2}));
-}
 
 Arena arena_of(const Array<int32_t, 1>& page_refs, const Array<int32_t, 1>& tile_refs, const Rows& free_pages,
                const Rows& free_tiles) {
@@ -318,55 +302,6 @@ auto py_sum_at_ends(Array<const uint32_t, 2> patches, Pair corner, double resolu
 }
 
 using Starts = Array<const int64_t, 1>;
-using Matrices = Array<const double, 3>;
-
-auto py_mean_shift(Poses poses, Vector weights, Array<const bool, 1> first, Triple centre, double radius_m,
-                   double radius_rad, int shifts) {
-  const size_t n = poses.shape(0);
-  require(weights.shape(0) == n && first.shape(0) == n, "weights, first: expected one for each pose");
-  auto moved = fresh<double, 1>({3});
-  auto moment = fresh<double, 2>({3, 3});
-  std::copy_n(centre.data(), 3, moved.data());
-  ClusterMoments found;
-  {
-    nb::gil_scoped_release release;
-    found = mean_shift(poses.data(), weights.data(), first.data(), static_cast<int64_t>(poses.shape(0)),
-                       {radius_m, radius_rad, shifts}, moved.data());
-  }
-  const double entries[9] = {found.xx, found.xy, found.xt, found.xy, found.yy, found.yt, found.xt, found.yt, found.tt};
-  std::copy_n(entries, 9, moment.data());
-  return std::make_tuple(moved, found.cluster_mass, found.mass, found.mass_of_squares, moment);
-}
-
-auto py_are_true(Array<const bool, 2> mask, Pair corner, double inverse_resolution, Poses poses) {
-  auto out = fresh<bool, 1>({poses.shape(0)});
-  {
-    nb::gil_scoped_release release;
-    are_true(mask.data(), static_cast<int64_t>(mask.shape(0)), static_cast<int64_t>(mask.shape(1)), corner.data(),
-             inverse_resolution, poses.data(), static_cast<int64_t>(poses.shape(0)), out.data());
-  }
-  return out;
-}
-
-auto py_slots_of(Vector ends, Vector points) {
-  auto out = fresh<int64_t, 1>({points.shape(0)});
-  {
-    nb::gil_scoped_release release;
-    slots_of(ends.data(), static_cast<int64_t>(ends.shape(0)), points.data(), static_cast<int64_t>(points.shape(0)),
-             out.data());
-  }
-  return out;
-}
-
-auto py_hamming_distances(Array<const uint64_t, 2> a, Array<const uint64_t, 2> b) {
-  auto out = fresh<int32_t, 2>({a.shape(0), b.shape(0)});
-  {
-    nb::gil_scoped_release release;
-    hamming_distances(a.data(), static_cast<int64_t>(a.shape(0)), b.data(), static_cast<int64_t>(b.shape(0)),
-                      static_cast<int64_t>(a.shape(1)), out.data());
-  }
-  return out;
-}
 
 // Where each of some scans, and the last one, ends among `size` points.
 void require_starts(const Starts& starts, size_t scans, size_t size) {
@@ -477,30 +412,6 @@ auto py_draw_scans(GRIDSLAM_MAPS, Array<int32_t, 1> page_refs, Array<int32_t, 1>
   return std::make_tuple(drawn.pages, drawn.tiles, drawn.scans);
 }
 
-auto py_parse_numbers(nb::bytes text, size_t rows) {
-  auto values = std::make_unique<std::vector<double>>();
-  bool is_plain;
-  {
-    nb::gil_scoped_release release;
-    is_plain = parse_numbers(text.c_str(), text.size(), rows, *values);
-  }
-  if (!is_plain) return fresh<double, 2>({0, 0});
-  const size_t shape[2] = {rows, values->size() / rows};
-  double* const data = values->data();
-  nb::capsule owner(values.release(), [](void* p) noexcept { delete static_cast<std::vector<double>*>(p); });
-  return nb::ndarray<nb::numpy, double>(data, 2, shape, owner);
-}
-
-nb::bytes py_format_rows(Array<const int64_t, 1> stamps_ns, Array<const double, 2> values,
-                         Array<const bool, 1> is_fixed, const char* separator) {
-  std::string text;
-  {
-    nb::gil_scoped_release release;
-    text = format_rows(stamps_ns.data(), values.data(), is_fixed.data(), values.shape(0), values.shape(1), *separator);
-  }
-  return nb::bytes(text.data(), text.size());
-}
-
 auto py_max_pyramid(Field field, Array<const int32_t, 2> ids, Array<const uint8_t, 1> likelihood) {
   const size_t rows = ids.shape(0) * kTile + 2 * kTop, cols = ids.shape(1) * kTile + 2 * kTop;
   auto cells = fresh<uint8_t, 2>({rows, cols}), nodes = fresh<uint8_t, 2>({rows, cols});
@@ -537,7 +448,6 @@ auto py_correlate(Array<const uint8_t, 2> cells, Array<const uint8_t, 2> nodes, 
 
 NB_MODULE(_compiled, m) {
   using namespace gridslam;
-  m.def("select_beams", &py_select_beams, "ranges"_a, "status"_a, "directions"_a, "origin"_a, "min_m"_a, "max_m"_a);
   m.def("tiles_on_rays", &py_tiles_on_rays, "rows"_a, "poses"_a, "ends"_a, "origin"_a, "resolution"_a, "threads"_a);
   m.def("make_tiles_writable", &py_make_tiles_writable, GRIDSLAM_MAPS_ARGS, nb::arg("page_refs").noconvert(),
         nb::arg("tile_refs").noconvert(), "free_pages"_a, "free_tiles"_a, "tiles_to_write"_a);
@@ -555,24 +465,17 @@ NB_MODULE(_compiled, m) {
   m.def("known_cells", &py_known_cells, GRIDSLAM_MAPS_ARGS, "row"_a, "pose"_a, "points"_a, "resolution"_a);
   m.def("cast_rays", &py_cast_rays, GRIDSLAM_MAPS_ARGS, "rows"_a, "poses"_a, "origin"_a, "directions"_a, "resolution"_a,
         "max_m"_a, "threads"_a);
-  m.def("mean_shift", &py_mean_shift, "poses"_a, "weights"_a, "first"_a, "centre"_a, "radius_m"_a, "radius_rad"_a,
-        "shifts"_a);
-  m.def("are_true", &py_are_true, "mask"_a, "corner"_a, "inverse_resolution"_a, "poses"_a);
-  m.def("slots_of", &py_slots_of, "ends"_a, "points"_a);
   m.def("match_surfaces", &py_match_surfaces, "points"_a, "normals"_a, "bearings"_a, "starts"_a, "origins"_a, "poses"_a,
         "pairs"_a, "gate_m"_a, "scale_m"_a, "both"_a, "by_incidence"_a, "threads"_a);
   m.def("fit_surfaces", &py_fit_surfaces, "ends"_a, "starts"_a, "origins"_a, "reach_m"_a, "threads"_a);
   m.def("match_to_surfaces", &py_match_to_surfaces, "points"_a, "normals"_a, "bearings"_a, "starts"_a, "origins"_a,
         "poses"_a, "own_points"_a, "own_normals"_a, "guess"_a, "prior"_a, "gates_m"_a, "scale_m"_a,
         "least_information"_a);
-  m.def("hamming_distances", &py_hamming_distances, "a"_a, "b"_a);
   m.def("sum_at_ends", &py_sum_at_ends, "patches"_a, "corner"_a, "resolution"_a, "poses"_a, "ends"_a, "threads"_a);
   m.def("draw_scans", &py_draw_scans, GRIDSLAM_MAPS_ARGS, nb::arg("page_refs").noconvert(),
         nb::arg("tile_refs").noconvert(), "free_pages"_a, "free_tiles"_a, "poses"_a, "ends"_a, "starts"_a, "origins"_a,
         "begin"_a, "end"_a, "resolution"_a, "steps"_a, "cone"_a, "room"_a, "weighed_after"_a,
         nb::arg("weights").noconvert(), "reach_cells"_a, "scale_m"_a);
-  m.def("parse_numbers", &py_parse_numbers, "text"_a, "rows"_a);
-  m.def("format_rows", &py_format_rows, "stamps_ns"_a, "values"_a, "is_fixed"_a, "separator"_a);
   m.def("max_pyramid", &py_max_pyramid, "field"_a, "ids"_a, "likelihood"_a);
   m.def("correlate", &py_correlate, "cells"_a, "nodes"_a, "top"_a, "ends"_a, "headings"_a, "window"_a, "centre"_a,
         "information"_a, "distance"_a, "count"_a, "min_sum"_a, "min_runner_up_ratio"_a, "min_distance_cells"_a,

@@ -1,7 +1,7 @@
 """The NumPy twins of the compiled kernels: readable, the oracle of their tests, and the fallback.
 
-All functions but `max_pyramid`, `correlate` and `sum_at_ends`, which work on what they are given, `parse_numbers`,
-`format_rows` and those of landmarks work on maps of one layout, five arguments that always come first:
+All functions but `max_pyramid`, `correlate`, `sum_at_ends` and those of surfaces, which work on what they are given,
+work on maps of one layout, five arguments that always come first:
 
 roots : (R, P, Q) int32
     For each map (row) a table of page ids; ``roots[r, 0, 0]`` is the page at page coordinates `first`.
@@ -29,10 +29,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gridslam.kernels import reference_scans
-from gridslam.kernels.reference_clusters import are_true, mean_shift, slots_of
-from gridslam.kernels.reference_descriptors import hamming_distances
 from gridslam.kernels.reference_maps import begin_update, end_update, update
-from gridslam.kernels.reference_numbers import format_rows, parse_numbers
 from gridslam.kernels.reference_surfaces import fit_surfaces, match_surfaces, match_to_surfaces
 from gridslam.kernels.reference_update import (
     FARTHEST,
@@ -52,7 +49,6 @@ from gridslam.kernels.reference_update import (
 )
 
 __all__ = [
-    "are_true",
     "begin_update",
     "cast_rays",
     "correlate",
@@ -60,8 +56,6 @@ __all__ = [
     "draw_scans",
     "end_update",
     "fit_surfaces",
-    "format_rows",
-    "hamming_distances",
     "known_cells",
     "make_tiles_writable",
     "match",
@@ -69,10 +63,6 @@ __all__ = [
     "match_surfaces",
     "match_to_surfaces",
     "max_pyramid",
-    "mean_shift",
-    "parse_numbers",
-    "select_beams",
-    "slots_of",
     "sum_at_ends",
     "tiles_on_rays",
     "update",
@@ -86,22 +76,6 @@ _PIN = 1e6  # information, 1 / cell^2, that pins the guess along an undetermined
 _BASE = np.float32(6.0)  # cells between the ends that must lie on a line to be a wall
 _ASIDE = np.float32(0.6)  # cells by which they may miss it: more than a lidar scatters
 _BEYOND = 3.0  # the gradient leans 55 degrees from the normal of the wall: there its mapped part ends
-
-
-def select_beams(
-    ranges: FloatArray,
-    status: NDArray[np.uint8],
-    directions: FloatArray,
-    origin: FloatArray,
-    min_m: float,
-    max_m: float,
-) -> tuple[IntArray, FloatArray]:
-    """Indices (K,) of the beams of status 0 (HIT) and range in [`min_m`, `max_m`), and their ends (K, 2), base frame.
-
-    Of a scan of B beams: `ranges` (B,), `status` (B,), and `directions` (B, 2) in the base frame.
-    """
-    usable = ((status == 0) & (ranges >= min_m) & (ranges < max_m)).nonzero()[0]
-    return usable, directions[usable] * ranges[usable, None] + origin
 
 
 @final

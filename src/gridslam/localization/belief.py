@@ -10,7 +10,6 @@ from numpy.typing import NDArray
 
 from gridslam.geometry.angles import wrap
 from gridslam.geometry.se2 import compose, lever_arm_jacobian
-from gridslam.kernels import backend
 from gridslam.localization.known_map import PoseLikelihood
 from gridslam.parameters import bounded, parameters
 from gridslam.types import FloatArray, IntArray
@@ -53,18 +52,22 @@ def estimate_pose(poses: FloatArray, weights: FloatArray) -> PoseEstimate:
     Source: K. Mardia, J. Kent and J. Bibby, Multivariate Analysis (1979), Section 3.4 (the inverse Wishart's mean).
     """
     names = cluster_bins(*poses.T.copy())
-    heaviest = names == np.bincount(names, weights).argmax()
-    first = poses[np.flatnonzero(heaviest)[weights[heaviest].argmax()]]
-    centre, mass, total, squares, moment = backend.mean_shift(
-        poses, weights, heaviest, first, CLUSTER_RADIUS_M, CLUSTER_RADIUS_RAD, _SHIFTS
-    )
-    if total**2 < _FEW * squares:  # too few effective particles do not determine the spread: all weights are equal
-        x, y, theta = poses.T
-        away = _relative_coordinates(x, y, theta, centre)
-        away = away[:, _is_in_cluster(away)] if mass > 0.5 else away
-        effective, covariance = max(float(away.shape[1]), _FEW), away @ away.T / away.shape[1]
-    else:
-        effective, covariance = total**2 / squares, moment / total
+    near = names == np.bincount(names, weights).argmax()
+    centre = poses[np.flatnonzero(near)[weights[near].argmax()]]
+    away = _relative_coordinates(poses, centre)
+    for _ in range(_SHIFTS):
+        centre = centre + np.average(away, axis=1, weights=np.where(near, weights, 0.0))
+        centre[2] = wrap(centre[2])
+        away = _relative_coordinates(poses, centre)
+        near = _is_in_cluster(away)
+    mass = float(weights[near].sum())
+    if mass > 0.5:
+        away, weights = away[:, near], weights[near]
+    effective = weights.sum() ** 2 / np.square(weights).sum()
+    if effective < _FEW:  # too few do not determine the spread: all weights are equal
+        weights = np.ones(len(weights))
+        effective = max(float(len(weights)), _FEW)
+    covariance = np.einsum("in,jn,n->ij", away, away, weights) / weights.sum()
     return PoseEstimate(centre, covariance * (effective / (effective - 5)), min(mass, 1.0))
 
 
@@ -85,8 +88,7 @@ def cluster_bins(x: FloatArray, y: FloatArray, theta: FloatArray) -> IntArray:
 
 def is_in_cluster(poses: FloatArray, centre: FloatArray) -> NDArray[np.bool_]:
     """Return which of poses (N, 3) are as near to a centre (3,) as belongs to one cluster."""
-    x, y, theta = poses.T.copy()
-    return _is_in_cluster(_relative_coordinates(x, y, theta, centre))
+    return _is_in_cluster(_relative_coordinates(poses, centre))
 
 
 def _is_in_cluster(away: FloatArray) -> NDArray[np.bool_]:
@@ -94,12 +96,13 @@ def _is_in_cluster(away: FloatArray) -> NDArray[np.bool_]:
     return np.asarray((away[0] ** 2 + away[1] ** 2 < CLUSTER_RADIUS_M**2) & (np.abs(away[2]) < CLUSTER_RADIUS_RAD))
 
 
-def _relative_coordinates(x: FloatArray, y: FloatArray, theta: FloatArray, centre: FloatArray) -> FloatArray:
-    """Return coordinates (3, N) as seen from a centre (3,)."""
-    turn = theta - centre[2]  # of two angles in [-pi, pi): at most one turn too far
+def _relative_coordinates(poses: FloatArray, centre: FloatArray) -> FloatArray:
+    """Return coordinates (3, N) of poses (N, 3) from a centre (3,), along the map's axes."""
+    away = poses.T - centre[:, None]
+    turn = away[2]  # of two angles in [-pi, pi): at most one turn too far
     turn[turn >= math.pi] -= math.tau
     turn[turn < -math.pi] += math.tau
-    return np.array([x - centre[0], y - centre[1], turn])
+    return np.asarray(away)
 
 
 def propagate_covariance(covariance: FloatArray, way: FloatArray, noise: FloatArray) -> FloatArray:

@@ -111,8 +111,16 @@ class KnownMap:
 
     def is_free(self, poses: Poses) -> NDArray[np.bool_]:
         """Return whether each of poses (N, 3) stands on a free cell."""
-        standing: NDArray[np.bool_] = backend.are_true(self.free, self._origin, 1 / self.resolution_m, poses)
-        return standing
+        return self._is_marked(self.free, poses)
+
+    def _is_marked(self, mask: NDArray[np.bool_], places: FloatArray) -> NDArray[np.bool_]:
+        """Return which of places (N, >= 2) lie in cells that are marked in a mask (H, W) of the map; a NaN does not."""
+        x, y = ((places[:, axis] - self._origin[axis]) * (1 / self.resolution_m) for axis in (0, 1))
+        height, width = mask.shape
+        inside = (x >= 0) & (x < width) & (y >= 0) & (y < height)
+        marked = np.zeros(len(places), np.bool_)
+        marked[inside] = mask[y[inside].astype(np.int64), x[inside].astype(np.int64)]
+        return marked
 
     def spread_about(self, pose: Annotated[FloatArray, 3]) -> FloatArray:
         """Mean square (3, 3) of how far poses that are even over free cells and headings are from a pose (3,)."""
@@ -209,8 +217,7 @@ class KnownMap:
 
     def ends_beyond(self, pose: FloatArray, ends: Points, origin: _Point) -> NDArray[np.bool_]:
         """Return which beams (B,) end where nothing is mapped and went through no wall; arguments as `went_through`."""
-        places = np.pad(transform_points(pose, ends), ((0, 0), (0, 1)))
-        mapped = backend.are_true(self._mapped, self._origin, 1 / self.resolution_m, places)
+        mapped = self._is_marked(self._mapped, transform_points(pose, ends))
         beyond = ~mapped & (self.distances([0], pose[None], ends)[0] > _INLIER_WEIGHT.scale_m)
         if beyond.any():
             beyond[beyond] = ~self.went_through(pose, ends[beyond], origin)

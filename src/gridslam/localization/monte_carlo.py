@@ -226,19 +226,17 @@ class MonteCarloLocalization:
         odometry: Odometry | None,
         scan: LaserScan,
         rng: np.random.Generator,
-        *,
-        always: bool = False,
     ) -> tuple[MonteCarloState, LocalizationReport]:
         """Take one scan; consumes `state` (keep one for later with `state.snapshot()`).
 
-        The particles are updated if the robot has moved enough, or `always`.
+        The particles are updated if the robot has moved enough.
         Raises ArgumentError for an argument of another kind; `state` is kept then.
         """
         require_step(MonteCarloState, state, odometry, scan, rng)
         state = state.take()
         moved = self._moved(state, odometry, scan)
         beams = self._select_beams(state, odometry, moved, scan)
-        if reason := self._skip_reason(state, odometry, moved, beams, always=always):
+        if reason := self._skip_reason(state, odometry, moved, beams):
             report = self._report_skipped(state, odometry, scan, moved, reason)
             return state, self._refine_pose(state.note_found(report), beams)
         state.add_particles(*self.configuration.hypotheses.sample(state.hypotheses, len(state.poses), rng))
@@ -302,11 +300,11 @@ class MonteCarloLocalization:
         return beams.deskew(order * twist)
 
     def _skip_reason(
-        self, state: MonteCarloState, odometry: Odometry | None, moved: FloatArray, beams: Beams, *, always: bool
+        self, state: MonteCarloState, odometry: Odometry | None, moved: FloatArray, beams: Beams
     ) -> LocalizationSkip | None:
         if odometry is None:
             return LocalizationSkip.NO_ODOMETRY
-        moved_enough = always or self.configuration.when_to_update(math.hypot(*moved[:2]), abs(float(moved[2])))
+        moved_enough = self.configuration.when_to_update(math.hypot(*moved[:2]), abs(float(moved[2])))
         if state.updates and not moved_enough:
             return LocalizationSkip.MOVED_TOO_LITTLE
         return None if len(beams) else LocalizationSkip.NO_VALID_BEAM

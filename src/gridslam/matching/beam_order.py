@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable
 from typing import NamedTuple, final
 
@@ -15,14 +14,6 @@ ORDERS = (1, 0, -1)
 
 MIN_TURN_RAD = 0.02
 """Turn of the robot during a scan from which on its order can be seen: ends 5 m away are moved by two cells."""
-
-_MIN_SCANS = 25  # more than one turn of the robot has
-_MIN_SWEEP = 0.2
-_MIN_GAIN = 0.01
-"""Share of the presumed time, and of the beams that agree more in order than backward, from which on scans are swept.
-Maps drawn from bent scans hide up to three fourths of it: 0.25 to 1, and 0.017 to 0.28, were measured of lasers that
-sweep so long. Of others none had both: up to 0.11 of those that sweep faster, 0.19 in slow turns."""
-_MIN_SIGMAS = 4.0
 
 
 @final
@@ -67,18 +58,3 @@ class BeamOrder(NamedTuple):
         scans = max(self.scans + prior_scans, 1.0)
         gains = (margin, self.at_once / scans, self.backward / scans)
         return ORDERS[gains.index(max(gains))]
-
-    @property
-    def sweep_factor(self) -> float:
-        """Time that a scan takes, of the time presumed: positive in order, negative backward, 0 if not for certain.
-
-        The inlier ratio falls with the square of how far a presumption is from what is true, and of three points on a
-        parabola the top is known.
-        """
-        loss = 2 * self.at_once - self.backward
-        if self.scans < _MIN_SCANS or loss <= 0:
-            return 0.0
-        mean = -self.backward / self.scans
-        sigma = math.sqrt(max(self.squares / self.scans - mean * mean, 1e-12) / self.scans)
-        factor = -self.backward / (2 * loss)
-        return factor if abs(factor) > _MIN_SWEEP and abs(mean) > max(_MIN_GAIN, _MIN_SIGMAS * sigma) else 0.0

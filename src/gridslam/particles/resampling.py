@@ -21,7 +21,6 @@ import numpy as np
 from gridslam.arguments import Limits, require_generator
 from gridslam.checked import checked
 from gridslam.errors import ArgumentError
-from gridslam.kernels import backend
 from gridslam.parameters import parameters
 from gridslam.types import FloatArray, IntArray
 
@@ -227,5 +226,4 @@ def _slots(ends: FloatArray, points: FloatArray) -> IntArray:
     Slots [end of the one before, end) are half open, so an empty one (weight 0) holds no point.
     """
     below_the_end = np.minimum(points, np.nextafter(ends[-1], 0.0))  # rounding may put the last point onto the end
-    slots: IntArray = backend.slots_of(ends, below_the_end)
-    return slots
+    return np.asarray(ends.searchsorted(below_the_end, side="right"), np.int64)

@@ -10,7 +10,6 @@ import numpy as np
 from PIL import Image, ImageDraw
 
 from gridslam.geometry import se2
-from gridslam.io.geojson import format_features
 from gridslam.plan.alignment import Alignment
 from gridslam.plan.rasters import BoolArray
 from gridslam.plan.untyped import ndimage, require_map_extra
@@ -128,22 +127,16 @@ def _disc(cells: int) -> BoolArray:
 
 
 def describe_changes(changes: Changes) -> list[dict[str, Any]]:
-    """Each change: kind, area and middle."""
+    """Each change: kind, area, middle and outline, in the first map's frame."""
     return [
-        {"kind": c.kind, "area_m2": round(c.area_m2, 3), "middle_m": np.round(c.outline.mean(axis=0), 3).tolist()}
-        for c in changes.changes
+        {
+            "kind": change.kind,
+            "area_m2": round(change.area_m2, 3),
+            "middle_m": np.round(change.outline.mean(axis=0), 3).tolist(),
+            "outline_m": np.round(change.outline, 3).tolist(),
+        }
+        for change in changes.changes
     ]
-
-
-def write_changes_geojson(path: Path, changes: Changes) -> None:
-    """Write the outlines as GeoJSON in metres of the first map's frame; layers "gone" and "new"."""
-    features = []
-    for change in changes.changes:
-        ring = np.round(np.concatenate([change.outline, change.outline[:1]]), 3).tolist()
-        properties = {"layer": change.kind, "area_m2": round(change.area_m2, 3)}
-        geometry = {"type": "Polygon", "coordinates": [ring]}
-        features.append({"type": "Feature", "properties": properties, "geometry": geometry})
-    path.write_text(format_features({"type": "FeatureCollection", "units": "m"}, features), encoding="utf-8")
 
 
 def write_changes_png(path: Path, changes: Changes) -> None:

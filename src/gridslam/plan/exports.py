@@ -1,4 +1,4 @@
-"""A floor plan as SVG, as DXF for CAD, and as GeoJSON for programs."""
+"""A floor plan as a drawing in SVG and as GeoJSON."""
 
 from __future__ import annotations
 
@@ -8,15 +8,10 @@ from xml.sax.saxutils import escape
 
 import numpy as np
 
-from gridslam.errors import MissingDependencyError
 from gridslam.io.geojson import format_features
 from gridslam.plan.floor_plan import FloorPlan
 from gridslam.types import FloatArray
 from gridslam.viz.canvas import round_length
-
-_LAYERS = {"WALLS": 7, "DOORS": 5, "ROOMS": 3, "UNKNOWN": 30, "FURNITURE": 8}
-"""Layers of the DXF, and their colours by the index of AutoCAD."""
-
 
 _STYLE = """\
 text { font-family: Helvetica, Arial, sans-serif; text-anchor: middle; dominant-baseline: central }
@@ -117,46 +112,3 @@ def write_geojson(path: Path, plan: FloorPlan, name: str) -> None:
     """
     document = {"type": "FeatureCollection", "name": name, "units": "m"}
     path.write_text(format_features(document, describe_features(plan)), encoding="utf-8")
-
-
-def write_dxf(path: Path, plan: FloorPlan) -> None:
-    """Write a plan as DXF R2010 in metres: layers WALLS, DOORS, ROOMS, UNKNOWN and FURNITURE.
-
-    Raises
-    ------
-    MissingDependencyError
-        ezdxf is not installed; the extra ``map`` brings it.
-    """
-    try:
-        from ezdxf import units
-        from ezdxf.document import Drawing
-        from ezdxf.enums import TextEntityAlignment
-    except ImportError:
-        raise MissingDependencyError("DXF", "ezdxf", "map") from None
-    drawing = Drawing.new("R2010")
-    drawing.units = units.M
-    for layer, colour in _LAYERS.items():
-        drawing.layers.add(layer, color=colour)
-    space = drawing.modelspace()
-
-    def outline(points: FloatArray, layer: str, closed: bool = True) -> None:
-        space.add_lwpolyline(points.tolist(), close=closed, dxfattribs={"layer": layer})
-
-    def write(text: str, where: FloatArray, layer: str, height: float) -> None:
-        entity = space.add_text(text, height=height, dxfattribs={"layer": layer})
-        entity.set_placement(tuple(where.tolist()), align=TextEntityAlignment.MIDDLE_CENTER)
-
-    for wall in plan.walls:
-        outline(wall.outline if wall.thickness_m else wall.ends, "WALLS", wall.thickness_m is not None)
-    for opening in plan.openings:
-        outline(opening.ends, "DOORS", False)
-        write(f"{opening.width_m:.2f}", opening.ends.mean(axis=0), "DOORS", 0.15)
-    for room in plan.rooms:
-        for ring in (room.outline, *room.holes):
-            outline(ring, "ROOMS")
-        write(f"{room.name} {room.area_m2:.1f} m2", room.label_point, "ROOMS", 0.25)
-        for side in room.unknown:
-            outline(side, "UNKNOWN", False)
-    for piece in plan.furniture:
-        outline(piece, "FURNITURE")
-    drawing.saveas(path)

@@ -12,13 +12,11 @@ from gridslam.api.session import Session
 from gridslam.doctor.repair import open_repaired
 from gridslam.errors import ArgumentError, InputError
 from gridslam.geometry import se2
-from gridslam.io.edited_maps import SUFFIX, apply_edits, cells_of, read_map_of_edits
-from gridslam.io.edits import Edits
+from gridslam.io.edits import read_edits
 from gridslam.io.maps import read_map
 from gridslam.io.text import compute_digest, read_json
 from gridslam.io.trajectories import read_tum
 from gridslam.mapping.known_poses import KnownPoses
-from gridslam.plan.rasters import BoolArray
 from gridslam.plan.surfaces import SurfacePoints, points_of_grid, points_of_scans
 from gridslam.types import FloatArray, OccupancyGrid
 
@@ -30,7 +28,8 @@ _FARTHEST_M = 30.0
 class MapSource(NamedTuple):
     """A map, and the name that a plan of it has.
 
-    With scans their surface points, and where the laser was (P, 2); with edits names of rooms, each with a place (2,).
+    With scans their surface points, and where the laser was (P, 2); with edits beside it names of rooms, each with a
+    place (2,).
     """
 
     grid: OccupancyGrid
@@ -53,7 +52,7 @@ def read_source(
     Parameters
     ----------
     path : str or Path
-        A map's YAML file, edits of one, the folder OUT of `gridslam map` or `grid`, or a session NAME.gridslam.
+        A map's YAML file, the folder OUT of `gridslam map` or `grid`, or a session NAME.gridslam.
     on_remark : callable
         Gets what is odd, a sentence each; so, that walls are taken from cells, as a folder's log is not there.
     floor : str, optional
@@ -69,13 +68,14 @@ def read_source(
     path = Path(path)
     if floor and path.suffix != ".gridslam":
         raise ArgumentError("floor", "a session, of whose maps one is named", path)
-    if path.is_dir():
-        return _read_folder(path, on_remark)
     if path.suffix == ".gridslam":
         return _read_session(path, floor)
-    if path.suffix == SUFFIX:
-        return _read_edits(path, on_remark)
-    return MapSource(read_map(path, on_remark=on_remark), path.stem)
+    if path.is_dir():
+        source, edits = _read_folder(path, on_remark), path / "edits.geojson"
+    else:
+        source, edits = MapSource(read_map(path, on_remark=on_remark), path.stem), path.with_name("edits.geojson")
+    rooms = read_edits(edits).of("rooms") if edits.is_file() else []
+    return source._replace(names=tuple((room.name, room.points.mean(axis=0)) for room in rooms))
 
 
 def _read_session(path: Path, floor: str | None) -> MapSource:
@@ -128,36 +128,6 @@ def _add_scans(source: MapSource, scans: Iterable[tuple[FloatArray, FloatArray]]
 
     points = points_of_scans(seen(), source.grid.resolution_m)
     return source._replace(points=points, path=np.array(path)) if len(points) else source
-
-
-def _read_edits(path: Path, on_remark: Callable[[str], None]) -> MapSource:
-    """The map that edits name, with them."""
-    grid, edits, own = read_map_of_edits(path, on_remark=on_remark)
-    is_run = own.name == "map.yaml" and (own.parent / "trajectory.tum").is_file()
-    return _apply(edits, _read_folder(own.parent, on_remark) if is_run else MapSource(grid, own.stem))
-
-
-def _apply(edits: Edits, source: MapSource) -> MapSource:
-    """Make edits on a map, and leave out the end points in areas that were changed."""
-    grid, points = source.grid, source.points
-    edited = apply_edits(grid, edits)
-    names = tuple((edit.name, edit.points.mean(axis=0)) for edit in edits.of("rooms"))
-    if points is not None:
-        changed = np.zeros(grid.shape, np.bool_)
-        for edit in edits.of("erased", "walls"):
-            window, inside = cells_of(edit, grid)
-            changed[window] |= inside
-        drawn = points_of_grid(edited)
-        kept, added = points.select(~_look_up(changed, grid, points)), drawn.select(_look_up(changed, grid, drawn))
-        points = SurfacePoints(*(np.concatenate(both) for both in zip(kept, added, strict=True)))
-    return source._replace(grid=edited, points=points, names=names)
-
-
-def _look_up(cells: BoolArray, grid: OccupancyGrid, points: SurfacePoints) -> BoolArray:
-    """Whether the cells (H, W) of a grid are set in which points (N,) lie; the nearest ones of those outside."""
-    column, row = np.floor((points.positions - grid.origin) / grid.resolution_m).astype(np.int64).T
-    height, width = grid.shape
-    return np.asarray(cells[row.clip(0, height - 1), column.clip(0, width - 1)], np.bool_)
 
 
 def _find_log(out: Path, source: dict[str, Any]) -> Path | None:

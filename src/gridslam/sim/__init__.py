@@ -6,7 +6,7 @@ buildings drawn from a seed: `random`.
 
 from gridslam.sim.lidar import LidarConfig
 from gridslam.sim.robot import OdometryNoise, RobotConfig
-from gridslam.sim.simulate import PeopleConfig, SimulatedLog, SimulatedStream, simulate, simulate_stream
+from gridslam.sim.simulate import PeopleConfig, SimulatedLog, simulate
 from gridslam.sim.world import Change, World, vary_route
 from gridslam.sim.worlds import DRAWN_WORLDS, WORLDS, make_world
 
@@ -19,10 +19,8 @@ __all__ = [
     "PeopleConfig",
     "RobotConfig",
     "SimulatedLog",
-    "SimulatedStream",
     "World",
     "make_world",
     "simulate",
-    "simulate_stream",
     "vary_route",
 ]

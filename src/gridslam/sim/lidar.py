@@ -187,31 +187,6 @@ def _covered(begin: FloatArray, width: FloatArray, offsets: FloatArray) -> tuple
     return np.repeat(interval, count), beam
 
 
-def cast_single_rays(walls: FloatArray, rays: FloatArray, reach_m: float = math.inf) -> FloatArray:
-    """Distance (M,) in m along each of rays (M, 3) to the first wall, as `cast_rays` does for a beam of each pose.
-
-    For beams that leave from a place each; costs all pairs of ray and wall.
-    """
-    ranges = np.full(len(rays), np.inf)
-    rows = max(1, _CHUNK // max(1, len(walls)))
-    for first in range(0, len(rays) if len(walls) else 0, rows):
-        some = rays[first : first + rows]
-        x0, y0, x1, y1 = near(walls, some[:, :2], reach_m).T
-        c = np.cos(some[:, 2:])
-        s = np.sin(some[:, 2:])
-        dx = x0 - some[:, :1]
-        dy = y0 - some[:, 1:2]
-        along_x = x1 - x0
-        along_y = y1 - y0
-        normal_part = c * along_y - s * along_x
-        normal_part[np.abs(normal_part) <= _EDGE_RAD * np.hypot(along_x, along_y)] = np.nan  # end-on
-        reach = (dx * along_y - dy * along_x) / normal_part
-        place = (dx * s - dy * c) / normal_part
-        hit = (reach > 0) & (place >= -_EDGE_RAD) & (place <= 1 + _EDGE_RAD)
-        ranges[first : first + rows] = np.where(hit, reach, np.inf).min(axis=1, initial=np.inf)
-    return ranges
-
-
 def disc_ranges(centres: FloatArray, radius_m: float, lasers: FloatArray, bearings: FloatArray) -> FloatArray:
     """Distance (N, B) in m along each beam to the first of P discs that stand at `centres` (N, P, 2) in each scan.
 
@@ -233,16 +208,11 @@ def disc_ranges(centres: FloatArray, radius_m: float, lasers: FloatArray, bearin
     return ranges
 
 
-def measure(
-    true_ranges: FloatArray, lidar: LidarConfig, rng: np.random.Generator, losses: np.random.Generator | None = None
-) -> FloatArray:
-    """Simulate ranges (N, B) in m as the sensor reports them: with noise, and its value for a beam without return.
-
-    The noise is drawn from `rng`, and then, which beams are lost: from `losses` where it is given.
-    """
+def measure(true_ranges: FloatArray, lidar: LidarConfig, rng: np.random.Generator) -> FloatArray:
+    """Simulate ranges (N, B) in m as the sensor reports them: with noise, and its value for a beam without return."""
     sigma = lidar.sigma_range_m + lidar.sigma_range_share * np.minimum(true_ranges, lidar.range_max_m)
     noise = sigma * rng.standard_normal(true_ranges.shape)
-    lost = (rng if losses is None else losses).random(true_ranges.shape) < lidar.no_return_probability
+    lost = rng.random(true_ranges.shape) < lidar.no_return_probability
     measured = np.clip(true_ranges + noise, 1e-3, lidar.range_max_m)
     no_return = {"max": lidar.range_max_m, "inf": np.inf, "nan": np.nan, "zero": 0.0}[lidar.no_return]
     return np.where(lost | (measured >= lidar.range_max_m), no_return, measured)

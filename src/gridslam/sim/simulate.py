@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
-from copy import deepcopy
 from dataclasses import dataclass
 from functools import cache
 from typing import final
@@ -17,12 +16,12 @@ from gridslam.geometry import se2
 from gridslam.io.measurement import Measurement
 from gridslam.parameters import bounded, parameters
 from gridslam.sim.floor_plan import clearance, near
-from gridslam.sim.lidar import LidarConfig, cast_rays, cast_single_rays, disc_ranges, measure
+from gridslam.sim.lidar import LidarConfig, cast_rays, disc_ranges, measure
 from gridslam.sim.robot import Drive, OdometryNoise, RobotConfig, simulate_odometry
 from gridslam.sim.world import World
 from gridslam.types import FloatArray, IntArray, LaserScan, Odometry, ScanGeometry, Trajectory
 
-_TOGETHER = 256  # scans made at a time: 40 m of way at the most, and some MB of arrays
+_TOGETHER = 256  # scans cast at a time: 40 m of way at the most, of which only near walls count
 _Crowd = Callable[[FloatArray, FloatArray, FloatArray, FloatArray], FloatArray]
 """Robot (N, 3) at times (N,), lasers (N, 1 or B, 3) and bearings (B,) to the ranges (N, B) of the nearest people, m."""
 
@@ -80,28 +79,6 @@ class SimulatedLog:
         return f"SimulatedLog({len(self)} scans, {self.truth})"
 
 
-@final
-@dataclass(frozen=True, slots=True, eq=False)
-class SimulatedStream:
-    """A `SimulatedLog` whose measurements are made when they are asked for, each once, and not kept.
-
-    The rest is known from the start and takes 64 bytes for each scan.
-    """
-
-    measurements: Iterator[Measurement]
-    truth: Trajectory
-    odometry: Trajectory
-    walls: FloatArray
-
-    def __len__(self) -> int:
-        """Return the number of scans N, those already given included."""
-        return len(self.truth)
-
-    def __repr__(self) -> str:
-        """Return one line."""
-        return f"SimulatedStream({len(self)} scans, {self.truth})"
-
-
 @checked
 def simulate(
     world: World,
@@ -115,29 +92,6 @@ def simulate(
     """Drive `world`'s route once and record scans, each with odometry: of one lidar, or of several merged by time.
 
     Stamps begin at 0. The same arguments and state of `rng` give identical results. People stand still during a scan.
-
-    Raises
-    ------
-    ArgumentError
-        If the robot would touch a wall, or no scan is taken during its drive.
-    """
-    stream = simulate_stream(world, robot, odometry, lidar, rng, people=people)
-    return SimulatedLog(tuple(stream.measurements), stream.truth, stream.odometry, stream.walls)
-
-
-@checked
-def simulate_stream(
-    world: World,
-    robot: RobotConfig,
-    odometry: OdometryNoise,
-    lidar: LidarConfig | Sequence[LidarConfig],
-    rng: np.random.Generator,
-    *,
-    people: PeopleConfig | None = None,
-) -> SimulatedStream:
-    """Simulate like `simulate`, bit for bit, but make each measurement on request: for logs of any length.
-
-    `rng` is left as `simulate` leaves it, at once: what is drawn from it while the stream is read changes nothing.
 
     Raises
     ------
@@ -159,12 +113,11 @@ def simulate_stream(
     of = np.repeat(np.arange(len(lidars)), [len(some) for some in times])[order]
     scans = [_record(one, way, world, (truth[of == k], legs[of == k]), crowd, rng) for k, one in enumerate(lidars)]
     stamps = np.round(1e9 * seconds).astype(np.int64)
-
-    def measurements() -> Iterator[Measurement]:
-        for k, stamp, pose in zip(of.tolist(), stamps.tolist(), measured, strict=True):
-            yield Measurement(Odometry.at(stamp, pose), next(scans[k]))
-
-    return SimulatedStream(measurements(), Trajectory(stamps, truth), Trajectory(stamps, measured), world.walls)
+    measurements = tuple(
+        Measurement(Odometry.at(stamp, pose), next(scans[k]))
+        for k, stamp, pose in zip(of.tolist(), stamps.tolist(), measured, strict=True)
+    )
+    return SimulatedLog(measurements, Trajectory(stamps, truth), Trajectory(stamps, measured), world.walls)
 
 
 def _check_clearance(world: World, truth: FloatArray, legs: IntArray, robot: RobotConfig) -> None:
@@ -205,44 +158,37 @@ def _record(
     crowd: _Crowd,
     rng: np.random.Generator,
 ) -> Iterator[LaserScan]:
-    """Yield scans of one lidar, with the robot at true poses (N, 3) on legs (N,) of its route.
-
-    `rng` is left as after the whole drive, at once: the scans draw from copies of it.
-    """
+    """Return scans of one lidar, with the robot at true poses (N, 3) on legs (N,) of its route."""
     truth, legs = drive
     seconds = lidar.times(way.duration_s)
-    noise = _taken(rng, lambda rows: rng.standard_normal((rows, lidar.beams)), len(seconds))
-    losses = _taken(rng, lambda rows: rng.random((rows, lidar.beams)), len(seconds))
     counts = np.full(len(seconds), lidar.beams)
     if lidar.fewest_beams:
         counts = rng.integers(lidar.fewest_beams, lidar.beams, len(seconds), endpoint=True)
+    ranges = np.full((len(seconds), lidar.beams), np.inf)
+    for part, walls in world.stretches(legs, _TOGETHER):
+        for count in np.unique(counts[part]).tolist():
+            some = part.start + np.flatnonzero(counts[part] == count)
+            at = (truth[some], seconds[some])
+            lasers, to_walls = _cast(lidar, way, walls, *at, lidar.spread(count))
+            ranges[some, :count] = np.minimum(to_walls, crowd(*at, lasers, lidar.spread(count)))
+    measured = measure(ranges, lidar, rng)
 
     @cache
     def geometry(beams: int) -> ScanGeometry:
         return ScanGeometry.planar(lidar.spread(beams), lidar.mounting)
 
-    def scans() -> Iterator[LaserScan]:
-        for part, walls in world.stretches(legs, _TOGETHER):
-            ranges = np.full((len(seconds[part]), lidar.beams), np.inf)
-            for count in np.unique(counts[part]).tolist():
-                some = counts[part] == count
-                at = (truth[part][some], seconds[part][some])
-                bearings = lidar.spread(count)
-                lasers, to_walls = _cast(lidar, way, walls, *at, bearings)
-                ranges[some, :count] = np.minimum(to_walls, crowd(*at, lasers, bearings))
-            rows = measure(ranges, lidar, noise, losses)
-            for stamp_s, count, row in zip(seconds[part].tolist(), counts[part].tolist(), rows, strict=True):
-                yield LaserScan.from_ranges(
-                    round(1e9 * stamp_s),
-                    row[:count],
-                    geometry(count),
-                    range_max_m=lidar.range_max_m,
-                    sensor=lidar.sensor,
-                    frame=lidar.sensor,
-                    beam_times_s=lidar.beam_times(count) if lidar.scan_time_s and lidar.reports_beam_times else None,
-                )
-
-    return scans()
+    return (
+        LaserScan.from_ranges(
+            round(1e9 * stamp_s),
+            row[:count],
+            geometry(count),
+            range_max_m=lidar.range_max_m,
+            sensor=lidar.sensor,
+            frame=lidar.sensor,
+            beam_times_s=lidar.beam_times(count) if lidar.scan_time_s and lidar.reports_beam_times else None,
+        )
+        for stamp_s, count, row in zip(seconds.tolist(), counts.tolist(), measured, strict=True)
+    )
 
 
 def _cast(
@@ -258,12 +204,4 @@ def _cast(
     lasers = se2.compose(moving, lidar.mounting)
     rays = lasers.copy()
     rays[:, 2] += np.tile(bearings, len(seconds))
-    return lasers.reshape(*times.shape, 3), cast_single_rays(walls, rays, lidar.reach_m).reshape(times.shape)
-
-
-def _taken(rng: np.random.Generator, draw: Callable[[int], FloatArray], count: int) -> np.random.Generator:
-    """Copy `rng`, and let it pass over `count` rows that `draw` takes from it: the copy will draw the same."""
-    copy = deepcopy(rng)
-    for first in range(0, count, _TOGETHER):
-        draw(min(_TOGETHER, count - first))
-    return copy
+    return lasers.reshape(*times.shape, 3), cast_rays(walls, rays, np.zeros(1), lidar.reach_m).reshape(times.shape)

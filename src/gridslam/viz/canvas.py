@@ -48,6 +48,7 @@ _SAMPLE = 70  # of a key's colour, with the gaps
 _LONGEST_TITLE = 900
 _FEWEST_LETTERS = 6  # to which a name is cut
 
+_PLANE_SIDE_PX = 1600  # the long side of a picture without a map
 _PAGE_SIDE_PX = 1400  # the long side of a page is no shorter
 _FINE = 3  # subpixels a side: 10 levels of coverage
 _TILE_PX = 192  # a tile of the page, 1.3 MB when enlarged
@@ -84,8 +85,18 @@ class Layout:
         """Place the part of the plane from `low` (2,) to `high` (2,), m, above a footer."""
         width, height = (max(1, round(side)) for side in ((high - low) * px_per_m).tolist())
         unit = max(1.0, max(width, height) / 1300)
-        size, box = fit_page(width, height, unit, title, caption)
-        return cls(size, box, px_per_m, float(low[0]), float(high[1]), unit)
+        margin = round(MARGIN * unit)
+        lengths = [font(TEXT_SIZE, unit).getlength(line) for line in caption]
+        lengths.append(min(font(_TITLE_SIZE, unit).getlength(title), _LONGEST_TITLE * unit))  # a longer one is cut
+        keys = round((2 * _KEY_WIDTH + _KEY_GAP) * unit)
+        footer = round(unit * max(_KEY_HEIGHT, TITLE_LINE * bool(title) + TEXT_LINE * len(caption)))
+        page_width = max(width + 2 * margin, math.ceil(max(lengths)) + keys + 3 * margin)
+        page_height = height + 3 * margin + footer
+        if max(page_width, page_height) < _PAGE_SIDE_PX:
+            page_width = _PAGE_SIDE_PX
+        left = (page_width - width) // 2
+        box = (left, margin, left + width, margin + height)
+        return cls((page_width, page_height), box, px_per_m, float(low[0]), float(high[1]), unit)
 
     def pixels(self, points: FloatArray) -> FloatArray:
         """Page coordinates (N, 2) in px of world points (N, 2) in m."""
@@ -94,21 +105,15 @@ class Layout:
         return np.stack([x, y], axis=1)
 
 
-def fit_page(
-    width: int, height: int, unit: float, title: str, caption: Sequence[str]
-) -> tuple[tuple[int, int], tuple[int, int, int, int]]:
-    """Size of a page for a box of that size in px above a footer, and left, top, right, bottom of the box on it."""
-    margin = round(MARGIN * unit)
-    lengths = [font(TEXT_SIZE, unit).getlength(line) for line in caption]
-    lengths.append(min(font(_TITLE_SIZE, unit).getlength(title), _LONGEST_TITLE * unit))  # a longer one is cut
-    keys = round((2 * _KEY_WIDTH + _KEY_GAP) * unit)
-    footer = round(unit * max(_KEY_HEIGHT, TITLE_LINE * bool(title) + TEXT_LINE * len(caption)))
-    page_width = max(width + 2 * margin, math.ceil(max(lengths)) + keys + 3 * margin)
-    page_height = height + 3 * margin + footer
-    if max(page_width, page_height) < _PAGE_SIDE_PX:
-        page_width = _PAGE_SIDE_PX
-    left = (page_width - width) // 2
-    return (page_width, page_height), (left, margin, left + width, margin + height)
+def open_page(points: FloatArray, title: str, caption: Sequence[str]) -> tuple[Image.Image, Layout]:
+    """Return a page with an empty part of the plane about points (N, 2), m, and its layout."""
+    low = points.min(axis=0)
+    high = np.maximum(points.max(axis=0), low + 1e-3)
+    border = 0.05 * float((high - low).max())
+    layout = Layout.of(low - border, high + border, _PLANE_SIDE_PX / (22 * border), title, caption)
+    page = Image.new("RGB", layout.size, UNKNOWN)
+    page.paste(FREE, layout.map_box)
+    return page, layout
 
 
 def time_colours(shares: FloatArray) -> list[Colour]:
@@ -218,41 +223,36 @@ def label_time(trajectory: Trajectory, stamped: bool = True) -> tuple[str, str]:
 
 def paint_footer(
     page: Image.Image,
-    bottom: int,
-    unit: float,
+    layout: Layout,
     title: str,
     caption: Sequence[str],
     keys: Sequence[tuple[str, Colour]],
     ends: tuple[str, str] | None = None,
-    px_per_m: float | None = None,
 ) -> None:
-    """Paint under a box that ends at `bottom` a thin line, the caption at the left, and keys at the right.
+    """Paint under the plane a thin line, the caption at the left, and keys at the right.
 
     The keys are to lines, by what a colour means; to the colours of time, by what stands at their ends; and to scale.
     """
+    unit = layout.unit
     draw = ImageDraw.Draw(page)
     margin = round(MARGIN * unit)
     right = page.width - margin
-    rule = bottom + margin
+    rule = layout.map_box[3] + margin
     top = rule + margin // 2
     draw.rectangle((0, rule, *page.size), fill=UNKNOWN)  # a path may lead off the map
     draw.line((margin, rule, right, rule), fill=RULE, width=round(unit))
-    taken = (0 if ends is None else _KEY_WIDTH + _KEY_GAP) + (0 if px_per_m is None else _KEY_WIDTH + _KEY_GAP)
-    title = _cut(title, _TITLE_SIZE, right - margin - taken * unit, unit)
-    paint_caption(draw, margin, top, title, caption, unit)
-    beside = max((font(TEXT_SIZE, unit).getlength(line) for line in caption), default=0.0)
-    lines = (TITLE_LINE if title else 0) + TEXT_LINE * len(caption)
-    rows = arrange_keys(keys, right - margin - beside, max(1, (lines - _KEY_BASE) // TEXT_LINE + 1), unit)
-    for k, row in enumerate(rows):
-        _paint_keys(draw, right, top + (_KEY_BASE + TEXT_LINE * k) * unit, row, unit)
+    key = round((_KEY_WIDTH + _KEY_GAP) * unit)
+    _paint_caption(draw, margin, top, _cut(title, _TITLE_SIZE, right - margin - 2 * key, unit), caption, unit)
+    beside = margin + max((font(TEXT_SIZE, unit).getlength(line) for line in caption), default=0.0)
+    rows = max(1, (TITLE_LINE * bool(title) + TEXT_LINE * len(caption) - _KEY_BASE) // TEXT_LINE + 1)
+    _paint_keys(draw, beside, right, top + _KEY_BASE * unit, rows, keys, unit)
     if ends is not None:
         _paint_time_key(page, right, top, ends, unit)
-        right -= round((_KEY_WIDTH + _KEY_GAP) * unit)
-    if px_per_m is not None:
-        paint_scale(draw, right, top, px_per_m, unit)
+        right -= key
+    _paint_scale(draw, right, top, layout.px_per_m, unit)
 
 
-def paint_caption(draw: ImageDraw.ImageDraw, left: int, top: int, title: str, lines: Sequence[str], u: float) -> None:
+def _paint_caption(draw: ImageDraw.ImageDraw, left: int, top: int, title: str, lines: Sequence[str], u: float) -> None:
     """Paint a title, if there is one, and lines of text under it."""
     if title:
         draw.text((left, top + 24 * u), title, fill=OCCUPIED, font=font(_TITLE_SIZE, u), anchor="ls")
@@ -261,7 +261,7 @@ def paint_caption(draw: ImageDraw.ImageDraw, left: int, top: int, title: str, li
         draw.text((left, top + (TEXT_LINE * k + 14) * u), line, fill=FAINT, font=font(TEXT_SIZE, u), anchor="ls")
 
 
-def paint_scale(draw: ImageDraw.ImageDraw, right: int, top: int, px_per_m: float, u: float) -> None:
+def _paint_scale(draw: ImageDraw.ImageDraw, right: int, top: int, px_per_m: float, u: float) -> None:
     """Paint a bar as long as a round length, one half light, that ends at `right`."""
     length_m = round_length(_KEY_WIDTH * u / px_per_m)
     length = round(length_m * px_per_m)
@@ -300,44 +300,28 @@ def _cut(text: str, size: int, width: float, u: float) -> str:
     return text
 
 
-def arrange_keys(
-    keys: Sequence[tuple[str, Colour]], width: float, most: int, u: float
-) -> list[list[tuple[str, Colour]]]:
-    """Return keys in as few rows as fit into a width, px, and in `most` at most.
-
-    Where they do not fit even then, the longest names are cut, and the last keys of a row left out if need be.
-    """
-    letters = font(TEXT_SIZE, u)
-
-    def overlap(row: Sequence[tuple[str, Colour]]) -> float:
-        return sum(letters.getlength(name) + _SAMPLE * u for name, _ in row) - width
-
-    for count in range(1, most + 1):
-        length = max(1, -(-len(keys) // count))
-        rows = [[*keys[k : k + length]] for k in range(0, len(keys), length)]
-        if all(overlap(row) <= 0 for row in rows):
-            return rows
-    for row in rows:
-        while row and overlap(row) > 0:
-            k = max(range(len(row)), key=lambda k: len(row[k][0]))
-            name, colour = row[k]
-            if len(name) > _FEWEST_LETTERS:
-                row[k] = f"{name.rstrip('…')[:-1]}…", colour
-            else:
-                row.pop()
-    return rows
-
-
 def _paint_keys(
-    draw: ImageDraw.ImageDraw, right: float, base: float, keys: Sequence[tuple[str, Colour]], u: float
+    draw: ImageDraw.ImageDraw,
+    left: float,
+    right: float,
+    top: float,
+    rows: int,
+    keys: Sequence[tuple[str, Colour]],
+    u: float,
 ) -> None:
-    """Paint a row of the meanings of lines, each after a sample of its colour."""
+    """Paint the meanings of lines, each after a sample of its colour, in columns from the right as far as they fit."""
     letters = font(TEXT_SIZE, u)
-    for name, colour in reversed(keys):
-        draw.text((right, base), name, fill=FAINT, font=letters, anchor="rs")
-        right -= round(letters.getlength(name)) + 10 * u
-        draw.rectangle((right - 30 * u, base - 8.5 * u, right, base - 4.5 * u), fill=colour)
-        right -= 60 * u
+    for first in range(0, len(keys), rows):
+        column = keys[first : first + rows]
+        width = max(letters.getlength(name) for name, _ in column)
+        if right - width - 40 * u < left:
+            return
+        for k, (name, colour) in enumerate(column):
+            base = top + TEXT_LINE * k * u
+            draw.text((right - width, base), name, fill=FAINT, font=letters, anchor="ls")
+            line = right - width - 10 * u
+            draw.rectangle((line - 30 * u, base - 8.5 * u, line, base - 4.5 * u), fill=colour)
+        right -= width + _SAMPLE * u
 
 
 def _label(draw: ImageDraw.ImageDraw, left: int, right: int, top: int, texts: tuple[str, str], u: float) -> None:

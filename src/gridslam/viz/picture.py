@@ -8,7 +8,7 @@ from itertools import cycle
 
 import numpy as np
 from numpy.typing import NDArray
-from PIL import Image, ImageChops
+from PIL import Image
 
 from gridslam.types import FloatArray, GridRows, OccupancyGrid, Trajectory
 from gridslam.viz.canvas import (
@@ -27,6 +27,7 @@ from gridslam.viz.canvas import (
     dots,
     label_time,
     mark_ends,
+    open_page,
     paint_footer,
     paint_path,
     stroke,
@@ -36,12 +37,9 @@ _MAP_SIDE_PX = (1300, 3200)  # the map's long side; with margins and footer the 
 _MAP_AREA_PX = 7_000_000  # Pillow keeps 4 bytes a pixel: a page of 30 MB
 _CELL_PX = 64  # cells are not enlarged further
 _ROWS = 64  # rows of cells looked at, or turned to bytes, at a time
-_STRIPE_PX = 256  # rows of pixels turned to colours at a time
-_MOST_LEVELS = 2**26  # bytes to be scaled to the page; those of a larger map are averaged before
 _LEVELS_PER_NAT = 32  # of log-odds as a byte
 _EVEN = 128  # even odds, also for an unknown cell
 
-_LANDMARKS_SIDE_PX = 1600  # the long side of a picture of landmarks
 _CORNERS = 48  # of an ellipse
 SIGMAS = 3.0
 """Ellipses are drawn at this many standard deviations: they contain the landmark with 98.9 %."""
@@ -58,7 +56,6 @@ def _ramp(first: int, last: int) -> list[int]:
 _OCCUPIED_LEVELS = _ramp(_EVEN, _EVEN + 40)  # fully dark from a probability of 0.78 on
 _FREE_LEVELS = [max(a, b) for a, b in zip(_ramp(_EVEN, _EVEN - 24), _ramp(_EVEN, _EVEN + 8), strict=True)]
 _CRISP = _ramp(52, 204)  # sharpens an enlarged edge to about half a cell
-_SHADES = 16  # of how free and how occupied a pixel is, both in one byte
 
 
 # Of several drives, each in one colour, mostly after Okabe and Ito, so that they differ for every eye; no blue, which
@@ -130,7 +127,7 @@ def draw_map(
         stroke(page, points.reshape(-1, 4), CLOSURE, 1.5 * layout.unit)
         dots(page, points, CLOSURE, 5.0 * layout.unit)
         keys.append(("loop closures", CLOSURE))
-    paint_footer(page, layout.map_box[3], layout.unit, title, caption, keys, ends, layout.px_per_m)
+    paint_footer(page, layout, title, caption, keys, ends)
     return page
 
 
@@ -189,7 +186,7 @@ def draw_localization(
     if not lost[-1]:
         disc(page, points[-1:], 8.0 * layout.unit, TIME_ENDS[1], OCCUPIED)
     ends = label_time(trajectory)
-    paint_footer(page, layout.map_box[3], layout.unit, title, caption, keys, ends, layout.px_per_m)
+    paint_footer(page, layout, title, caption, keys, ends)
     return page
 
 
@@ -233,14 +230,8 @@ def draw_landmarks(
     shown = [trajectory.poses[:, :2], outlines.reshape(-1, 2), true_marks]
     if truth is not None:
         shown.append(truth.poses[:, :2])
-    points = np.concatenate(shown)
-    low = points.min(axis=0)
-    high = np.maximum(points.max(axis=0), low + 1e-3)
-    border = 0.05 * float((high - low).max())
-    layout = Layout.of(low - border, high + border, _LANDMARKS_SIDE_PX / (22 * border), title, caption)
+    page, layout = open_page(np.concatenate(shown), title, caption)
     u = layout.unit
-    page = Image.new("RGB", layout.size, UNKNOWN)
-    page.paste(FREE, layout.map_box)
     keys: list[tuple[str, Colour]] = [(f"landmarks, {SIGMAS:g} sigma", CLOSURE)]
     if truth is not None or true_positions is not None:
         keys.append(("truth", TRUTH))
@@ -254,7 +245,7 @@ def draw_landmarks(
     stroke(page, np.concatenate([corners[:, :-1], corners[:, 1:]], axis=2).reshape(-1, 4), CLOSURE, 1.5 * u)
     dots(page, layout.pixels(positions), CLOSURE, 5.0 * u)
     mark_ends(page, layout.pixels(trajectory.poses[[0, -1], :2]), 8.0 * u)
-    paint_footer(page, layout.map_box[3], u, title, caption, keys, label_time(trajectory, stamped), layout.px_per_m)
+    paint_footer(page, layout, title, caption, keys, label_time(trajectory, stamped))
     return page
 
 
@@ -296,63 +287,26 @@ def _extent(known: NDArray[np.bool_]) -> slice:
 
 
 def _paint_cells(grid: GridRows, layout: Layout) -> Image.Image:
-    """Blend FREE and then OCCUPIED into a page, by how much a pixel is so; a palette has all blends."""
-    rows, columns = known_part(grid)
-    shown = (rows.stop - rows.start) * (columns.stop - columns.start)
-    block = max(math.ceil(math.sqrt(shown / _MOST_LEVELS)), 1)
-    shades = []
-    for table, place in ((_FREE_LEVELS, _SHADES), (_OCCUPIED_LEVELS, 1)):
-        cells = _levels(grid, rows, columns, np.array(table, np.uint8), block)
-        if not cells.size:
-            return Image.new("RGB", layout.size, UNKNOWN)
-        left, top, right, bottom = layout.map_box
-        larger = right - left > cells.shape[1]
-        resample = Image.Resampling.BICUBIC if larger else Image.Resampling.BOX
-        curve = [round(x * (_SHADES - 1) / 255) * place for x in (_CRISP if larger else range(256))]
-        shades.append(Image.fromarray(cells).resize((right - left, bottom - top), resample).point(curve))
-    blends = ImageChops.add(shades.pop(), shades.pop())
-    blends.putpalette(_palette())
+    """Paint FREE and then OCCUPIED over a page, by how much a pixel is so."""
+    levels = _levels(grid)
     page = Image.new("RGB", layout.size, UNKNOWN)
-    for upper in range(0, blends.height, _STRIPE_PX):
-        stripe = blends.crop((0, upper, blends.width, min(upper + _STRIPE_PX, blends.height)))
-        page.paste(stripe.convert("RGB"), (left, top + upper))
+    left, top, right, bottom = layout.map_box
+    is_larger = right - left > levels.width
+    resample = Image.Resampling.BICUBIC if is_larger else Image.Resampling.BOX
+    for table, colour in ((_FREE_LEVELS, FREE), (_OCCUPIED_LEVELS, OCCUPIED)):
+        share = levels.point(table).resize((right - left, bottom - top), resample)
+        page.paste(colour, layout.map_box, share.point(_CRISP) if is_larger else share)
     return page
 
 
-def _palette() -> bytes:
-    """Return colours (r, g, b) by how free and how occupied a pixel is."""
-    share = np.linspace(0.0, 1.0, _SHADES)[:, None]
-    ground = UNKNOWN + share * np.subtract(FREE, UNKNOWN)
-    colours = ground[:, None] + share * (np.array(OCCUPIED) - ground[:, None])
-    return np.rint(colours).astype(np.uint8).tobytes()
-
-
-def _levels(grid: GridRows, rows: slice, columns: slice, table: NDArray[np.uint8], block: int) -> NDArray[np.uint8]:
-    """Log-odds of the cells shown, as bytes and by `table`, the uppermost row first; means of `block` cells a side."""
-    bottom = min(rows.stop, grid.shape[0])
-    width = min(columns.stop, grid.shape[1]) - columns.start
-    levels = np.full((-(-(bottom - rows.start) // block), -(-width // block)), table[_EVEN], np.uint8)
-    high = _ROWS // block * block or block
-    for last in range(bottom, rows.start, -high):
-        first = max(last - high, rows.start)
+def _levels(grid: GridRows) -> Image.Image:
+    """Log-odds of the known part as an image of bytes, the uppermost row first."""
+    rows, columns = known_part(grid)
+    levels = np.full((rows.stop - rows.start, columns.stop - columns.start), _EVEN, np.uint8)
+    for first in range(rows.start, min(rows.stop, grid.shape[0]), _ROWS):
+        last = min(first + _ROWS, rows.stop, grid.shape[0])
         band = grid.rows(first, last)
-        known = band.known[:, columns]
-        if not known.any():
-            continue
-        shown = np.full((last - first, width), _EVEN, np.uint8)
         scaled = np.clip(band.log_odds[:, columns] * _LEVELS_PER_NAT + _EVEN, 0, 255)
-        np.copyto(shown, scaled, where=known, casting="unsafe")
-        top = (bottom - last) // block
-        means = _shrink(table[shown][::-1], block)
-        levels[top : top + len(means)] = means
-    return levels
-
-
-def _shrink(levels: NDArray[np.uint8], block: int) -> NDArray[np.uint8]:
-    """Means of squares of `block` cells, those at the far borders filled up with their last."""
-    if block == 1:
-        return levels
-    filled = np.pad(levels, [(0, -side % block) for side in levels.shape], mode="edge")
-    height, width = (side // block for side in filled.shape)
-    means: NDArray[np.uint8] = filled.reshape(height, block, width, block).mean(axis=(1, 3)).astype(np.uint8)
-    return means
+        shown = levels[first - rows.start : last - rows.start, : scaled.shape[1]]
+        np.copyto(shown, scaled, where=band.known[:, columns], casting="unsafe")
+    return Image.fromarray(levels[::-1])

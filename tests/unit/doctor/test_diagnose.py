@@ -84,9 +84,15 @@ def test_a_healthy_log_is_said_to_be_healthy(rooms):
     length = np.hypot(*np.diff(rooms.odometry.poses[:, :2], axis=0).T).sum()
     assert diagnosis.metres == pytest.approx(length)
     (laser,) = diagnosis.lasers.values()
-    assert (laser.scans, laser.beams, laser.clockwise, laser.upside_down) == (len(rooms), 180, False, False)
-    assert laser.rate_hz == pytest.approx(5.0)
-    assert laser.mounting == pytest.approx([0.1, 0, 0])
+    assert (laser["scans"], laser["beams"], laser["direction"]) == (len(rooms), 180, "counter-clockwise")
+    assert laser["rate_hz"] == pytest.approx(5.0)
+    assert laser["mounting"] == {
+        "x_m": pytest.approx(0.1),
+        "y_m": 0.0,
+        "yaw_rad": 0.0,
+        "tilt_rad": 0.0,
+        "upside_down": False,
+    }
 
 
 @pytest.mark.parametrize(

@@ -10,7 +10,7 @@ import pytest
 from scipy import ndimage
 
 from gridslam.errors import InputError
-from gridslam.io.edited_maps import apply_edits, cells_of, check_edits, compute_image_digest, read_edited_map
+from gridslam.io.edited_maps import apply_edits, cells_of, check_edits, compute_image_digest
 from gridslam.io.edits import LAYERS, Edit, Edits, read_edits, write_edits
 from gridslam.io.maps import read_map, write_map
 from gridslam.types import OccupancyGrid
@@ -184,19 +184,6 @@ def test_a_map_that_has_changed_since_is_told_and_places_outside_are_refused(run
     far = Edits((Edit("keep_out", "Polygon", SQUARE + 50),))
     with pytest.raises(InputError, match="feature 1: expected places in"):
         check_edits(far, "edits.geojson", run / "map.yaml", grid, told.append)
-
-
-def test_a_map_is_read_with_its_edits(run):
-    folder = run
-    edits = read_edits(folder / "edits.geojson")
-    wall = Edit("walls", "LineString", LINE, "", 0.1)
-    write_edits(folder / "walls.geojson", Edits((wall,), edits.map_name, edits.map_sha256))
-    whole, edited = read_map(folder / "map.yaml"), read_edited_map(folder / "walls.geojson")
-    assert edited.shape == whole.shape
-    assert (edited.log_odds > 0).sum() == cells_of(wall, whole)[1].sum() > 80
-    write_edits(folder / "none.geojson", Edits((wall,)))
-    with pytest.raises(InputError, match="expected the YAML file of a map"):
-        read_edited_map(folder / "none.geojson")
 
 
 @pytest.mark.skipif(not hasattr(os, "fork"), reason="the process that is killed is forked")

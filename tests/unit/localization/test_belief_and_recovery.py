@@ -54,6 +54,27 @@ def test_one_cluster(theta):
     assert told.mass == pytest.approx(1.0)
 
 
+@pytest.mark.parametrize("share", [0.3, 0.7])
+def test_the_spread_is_that_of_the_cluster_or_of_all_where_it_has_less_than_half(share):
+    """Weighted moments by NumPy, of the densest of three places that are far apart."""
+    rng, centre = np.random.default_rng(1), np.array([3.0, -2.0, 3.1])
+    poses = rng.normal(scale=[0.1, 0.2, 0.05], size=(4000, 3)) + centre
+    poses[int(4000 * share) :, 0] += rng.choice([30.0, 50.0, 70.0, 90.0], 4000 - int(4000 * share))
+    poses[:, 2] = wrap(poses[:, 2])
+    weights = rng.exponential(size=4000)
+    weights /= weights.sum()
+    own = poses[:, 0] < 10
+    told = estimate_pose(poses, weights)
+    kept = own if share > 0.5 else np.ones(4000, np.bool_)
+    away, mass = poses[kept] - told.pose, weights[kept]
+    away[:, 2] = wrap(away[:, 2])
+    assert told.mass == pytest.approx(weights[own].sum())
+    np.testing.assert_allclose(np.average(poses[own, :2], axis=0, weights=weights[own]), told.pose[:2], atol=1e-9)
+    effective = mass.sum() ** 2 / np.square(mass).sum()
+    expected = (mass[:, None] * away).T @ away / mass.sum() * effective / (effective - 5)
+    np.testing.assert_allclose(told.covariance, expected, rtol=1e-9, atol=1e-12)
+
+
 def test_the_information_of_few_particles_is_unbiased():
     """What judges an error is the inverse of the covariance; that of 40 particles is right on average."""
     rng, found = np.random.default_rng(3), []

@@ -108,6 +108,11 @@ def test_free_space_is_only_what_is_known_to_be_free():
     assert abs(np.exp(1j * poses[:, 2]).mean()) < 5 / math.sqrt(20_000)
 
 
+@pytest.mark.parametrize("place", [(np.nan, 0.5), (0.5, np.inf), (-np.inf, np.nan), (1e300, 1e300), (-99, 1)])
+def test_what_is_no_number_or_beyond_the_map_is_not_free(place):
+    assert not KnownMap(grid_of(np.zeros((9, 9), int) + np.eye(9, dtype=int))).is_free(np.array([[*place, 0.0]]))[0]
+
+
 @pytest.mark.parametrize("log_odds", [-1.0, 0.0, 0.5])
 def test_a_cell_of_which_the_map_is_not_sure_is_neither_free_nor_occupied(log_odds):
     grid = grid_of(room())

@@ -6,8 +6,6 @@ import math
 
 import numpy as np
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
 
 from gridslam.grid.scan_batch import ScanBatch
 from gridslam.matching.beam_order import BeamOrder
@@ -74,20 +72,6 @@ def test_scans_of_a_standing_robot_count_once():
 
 
 TIMES = np.array([0.0, 0.05, 0.1])
-
-
-def order_of(swept, noise=0.0, count=60, loss=0.05):
-    """Shares that fall with the square of how far a presumption is from the truth."""
-    rng, order = np.random.default_rng(0), BeamOrder()
-    for _ in range(count):
-        shares = 0.9 - loss * np.square(np.array([1.0, 0.0, -1.0]) - swept) + rng.normal(0, noise, 3)
-        order = order.add(*shares)
-    return order
-
-
-@given(st.floats(0.21, 3.0), st.sampled_from([-1, 1]))
-def test_the_top_of_a_parabola_is_found(swept, sign):
-    assert order_of(sign * swept).sweep_factor == pytest.approx(sign * swept, rel=1e-6)
 
 
 def ratios(gains):

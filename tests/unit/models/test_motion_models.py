@@ -9,6 +9,7 @@ from gridslam.errors import ArgumentError
 from gridslam.geometry.angles import wrap
 from gridslam.geometry.se2 import compose
 from gridslam.models import DiffusionMotion, GMappingMotion, OdometryMotion, VelocityMotion
+from gridslam.models.motion import GaussianIncrement
 
 MODELS = [OdometryMotion, GMappingMotion, DiffusionMotion, VelocityMotion]
 SILENT = [
@@ -64,3 +65,11 @@ def test_a_translation_just_short_of_still_keeps_its_mean():
     for length in (0.0099, 0.0101):
         means, _ = model(np.array([0.0, length, 0.0])).moments(np.zeros((1, 3)))
         np.testing.assert_allclose(means[0], [0.0, length, 0.0], atol=1e-15)
+
+
+def test_many_poses_have_the_covariances_of_each_alone():
+    rng = np.random.default_rng(4)
+    root, poses = rng.normal(size=(3, 3)), rng.normal(size=(150, 3))
+    motion = GaussianIncrement.with_covariance(rng.normal(size=3), root @ root.T)
+    alone = np.concatenate([motion.moments(pose[None])[1] for pose in poses])
+    np.testing.assert_allclose(motion.moments(poses)[1], alone, atol=1e-12)

@@ -3,12 +3,11 @@
 import json
 from xml.etree import ElementTree
 
-import ezdxf
 import numpy as np
 import pytest
 
 from gridslam.plan import make_plan
-from gridslam.plan.exports import write_dxf, write_geojson, write_svg
+from gridslam.plan.exports import write_geojson, write_svg
 from support.drawn_maps import draw_two_rooms
 
 
@@ -30,22 +29,6 @@ def test_the_svg_is_to_scale_and_its_walls_run_along_the_sheet(tmp_path, scale, 
     corners = np.array([pair.split(",") for pair in room.get("points").split()], float)
     assert np.ptp(corners, axis=0) == pytest.approx([6000 / scale, 4000 / scale], abs=150 / scale)
     assert (corners > 0).all()
-
-
-def test_the_dxf_is_without_faults_and_in_metres(plan, tmp_path):
-    write_dxf(tmp_path / "plan.dxf", plan)
-    drawing = ezdxf.readfile(tmp_path / "plan.dxf")
-    auditor = drawing.audit()
-    assert not auditor.has_errors
-    assert not auditor.has_fixes
-    assert drawing.units == ezdxf.units.M
-    lines = drawing.modelspace().query("LWPOLYLINE")
-    assert {"WALLS", "DOORS", "ROOMS", "UNKNOWN", "FURNITURE"} <= {layer.dxf.name for layer in drawing.layers}
-    assert sum(line.dxf.layer == "WALLS" for line in lines) == len(plan.walls)
-    room = next(line for line in lines if line.dxf.layer == "ROOMS")
-    assert room.closed
-    corners = np.array([point[:2] for point in room.get_points()])
-    assert corners == pytest.approx(plan.rooms[0].outline)
 
 
 def _signed_area(ring):

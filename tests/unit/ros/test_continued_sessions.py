@@ -7,16 +7,14 @@ import numpy as np
 import pytest
 
 from gridslam.api.mapping import map_log
-from gridslam.api.session import Session
-from gridslam.config import override, preset
 from gridslam.errors import ConfigurationError, InputError
-from gridslam.io.sessions.session_file import SavedSession, read_session, write_session
+from gridslam.io.sessions.session_file import read_session
 from gridslam.ros.node.parameters import node_parameters
 from gridslam.ros.node.ros_node import RosNode
 from gridslam.sim import LidarConfig, OdometryNoise, RobotConfig, make_world, simulate
 from support.interrupted import carry
 from support.node_faults import RunningNode, is_prepared
-from support.ros_node import LocalTransport, until
+from support.ros_node import LocalTransport, in_filter, until
 
 
 @pytest.fixture(scope="module")
@@ -168,10 +166,10 @@ def test_nothing_replaces_a_session_that_cannot_be_gone_on_from(drive, first_hal
     monkeypatch.setattr("gridslam.ros.node.continued.locate_in", fail)
     path = tmp_path / "s.gridslam"
     path.write_bytes(first_half.read_bytes())
-    node = RunningNode(**{"continue": str(path)}, save=str(path), out=str(tmp_path / "out"), begin_at="elsewhere")
-    node.play(drive[:30])
+    node = RunningNode(**{"continue": str(path)}, save=str(path), out=str(tmp_path / "out"))
+    node.play(drive[:30], shift_s=86_400.0)
     assert until(lambda: is_prepared(node.node.core), 60.0)
-    node.play(drive[30:40])
+    node.play(drive[30:40], shift_s=86_400.0)
     log = node.stop()
     assert "injected" in log
     assert "no session is saved" in log
@@ -183,8 +181,8 @@ def test_where_time_jumps_back_the_next_drive_belongs_to_the_same_session(drive,
     """A bag that is played again, or a clock that was set: what the session holds is neither lost nor replaced."""
     path = tmp_path / "s.gridslam"
     path.write_bytes(first_half.read_bytes())
-    node = RunningNode(**{"continue": str(path)}, save=str(path), begin_at="same place")
-    node.play(drive[len(drive) // 2 : len(drive) // 2 + 20], shift_s=3600.0)
+    node = RunningNode(**{"continue": str(path)}, save=str(path))
+    node.play(drive[len(drive) // 2 : len(drive) // 2 + 20])
     node.play(drive[:20])
     log = node.stop()
     assert node.error is None
@@ -223,40 +221,10 @@ def test_a_reset_keeps_the_session_so_far_beside_the_new_one(drive, first_half, 
     assert len(read_session(path).run.trajectory.keys) in (9, 10)
 
 
-def test_a_robot_on_another_floor_is_not_looked_for_in_the_map_of_this_one(drive, first_half, tmp_path):
-    """The same rooms again, in which it would be found."""
-    path = tmp_path / "floors.gridslam"
-    node = RunningNode(save=str(path), floor="ground")
-    node.play(drive[:60])
-    node.stop()
-    node = RunningNode(**{"continue": str(path)}, save=str(path), floor="first")
-    node.play(drive[60:65])
-    assert until(lambda: is_prepared(node.node.core), 60.0)
-    node.play(drive[65:120])
-    log = node.stop()
-    assert node.error is None
-    assert "it was on ground, and is on first" in log
-    assert "found again" not in log
-    assert Session.open(path).names == ["first", "ground"]
-    with pytest.raises(ConfigurationError, match="floor: expected first, on which the robot is at the same place"):
-        node_parameters({"continue": str(path), "begin_at": "same place", "floor": "ground"}, "default")
-
-
-@pytest.mark.parametrize(
-    ("given", "problem"),
-    [
-        ({"floor": "a/b"}, "floor: expected 1 to 40 letters"),
-        ({"autosave": -1.0}, "autosave: expected a number of minutes"),
-        ({"autosave": "often"}, "autosave: expected a number of minutes"),
-        ({"begin_at": "home"}, "begin_at: expected one of auto, same place, elsewhere"),
-        ({"begin_at": "elsewhere"}, "expected a session to continue"),
-        ({"begin_pose": "1 2 3"}, "expected a session to continue"),
-        ({"begin_pose": "1 2"}, "begin_pose: expected x, y in m and theta in rad"),
-    ],
-)
-def test_parameters_that_say_nothing_are_refused(given, problem):
-    with pytest.raises(ConfigurationError, match=problem):
-        node_parameters(given, "default")
+@pytest.mark.parametrize("minutes", [-1.0, "often"])
+def test_an_autosave_that_is_no_time_is_refused(minutes):
+    with pytest.raises(ConfigurationError, match="autosave: expected a number of minutes"):
+        node_parameters({"autosave": minutes}, "default")
 
 
 def test_a_session_that_is_none_is_refused_at_the_start(tmp_path):
@@ -265,20 +233,6 @@ def test_a_session_that_is_none_is_refused_at_the_start(tmp_path):
         node_parameters({"continue": str(tmp_path / "s.gridslam")}, "default")
     with pytest.raises(InputError, match="no such file"):
         node_parameters({"continue": str(tmp_path / "other.gridslam")}, "default")
-
-
-def test_slam_toolboxs_parameters_name_a_session(tmp_path):
-    config = override(preset("default"), "particles=4")
-    write_session(tmp_path / "floor.gridslam", SavedSession(config, seed=5))
-    given = {"map_file_name": str(tmp_path / "floor"), "map_start_pose": [1.0, 2.0, 0.5]}
-    found = node_parameters(given, "default")
-    assert found.configuration == config
-    assert found.files.continued.pose.tolist() == [1.0, 2.0, 0.5]
-    other = node_parameters({"map_file_name": str(tmp_path / "other"), "map_start_pose": [1.0, 2.0, 0.5]}, "default")
-    assert other.files.continued is None
-    assert "pose graphs of slam_toolbox cannot be read" in other.warning
-    with pytest.raises(ConfigurationError, match="map_start_at_dock"):
-        node_parameters({"map_file_name": str(tmp_path / "floor"), "map_start_at_dock": True}, "default")
 
 
 def test_a_live_scan_is_not_held_up_while_the_session_is_written(drive, tmp_path):
@@ -294,7 +248,7 @@ def test_a_live_scan_is_not_held_up_while_the_session_is_written(drive, tmp_path
         begin = time.thread_time()
         return core._session.copy(None), time.thread_time() - begin
 
-    copied, seconds = core.ask(copy)
+    copied, seconds = in_filter(core, copy)
     assert seconds < 0.05
     running.stop()
     assert copied.log.scan_count == 60

@@ -99,7 +99,7 @@ def test_a_file_of_slam_toolbox_is_understood(slam_toolbox):
     settings, configuration = found.settings, found.configuration
     assert (settings.odom_frame, settings.map_frame, settings.base_frame) == ("wheel_odom", "world", "base_footprint")
     assert (settings.transform_wait_s, settings.map_update_interval_s, settings.throttle_scans) == (0.2, 4.0, 2)
-    assert (settings.transform_publish_period_s, found.values["scan_topic"]) == (0.02, "/front/scan")
+    assert (settings.transform_publish_period_s, settings.scan_topic) == (0.02, "/front/scan")
     for path, value in (
         ("mapper.resolution_m", 0.1),
         ("range_min_m", 0.2),
@@ -124,8 +124,7 @@ def test_a_file_of_slam_toolbox_is_understood(slam_toolbox):
         ({"minimum_travel_distance": "far"}, "^minimum_travel_distance: expected a"),
         ({"do_loop_closing": 1}, "^do_loop_closing: expected true or false, got 1"),
         ({"min_laser_range": "near"}, "^min_laser_range: expected a number, got 'near'"),
-        ({"scan_topic": 3}, "^scan_topic: expected the name of a topic, got 3"),
-        ({"paused_new_measurements": "yes"}, "^paused_new_measurements: expected true or false"),
+        ({"scan_topic": 3}, "^scan_topic: expected a valid string, got 3"),
     ],
 )
 def test_wrong_values_are_named_as_they_were_given(given, says):
@@ -140,7 +139,7 @@ def test_a_file_of_nav2_places_the_robot(amcl):
     pose, _ = found.configuration.initial_pose
     np.testing.assert_array_equal(pose, [1.5, 2.5, 0.5])
     assert found.configuration.configuration.kld.particles_max == 900
-    assert (found.values["scan_topic"], found.settings.tf_delay_s) == ("front/scan", 1.0)
+    assert (found.settings.scan_topic, found.settings.tf_delay_s) == ("front/scan", 1.0)
     assert "scan_topic" not in found.warning
 
 
@@ -158,16 +157,15 @@ def test_a_file_for_another_node_is_named_in_one_line(slam_toolbox, amcl, tmp_pa
     assert "names no node" in three
 
 
-def test_the_scans_come_from_the_topic_that_is_given_and_it_may_begin_paused():
+def test_the_scans_come_from_the_topic_that_is_given():
     subscribed = []
 
     class Transport(LocalTransport):
         def subscribe(self, topic, kind, handle, **qos):
             subscribed.append(topic)
 
-    node = RosNode(Transport(), node_parameters({"scan_topic": "front", "paused_new_measurements": True}, "default"))
+    node = RosNode(Transport(), node_parameters({"scan_topic": "front"}, "default"))
     node.start()
     assert "front" in subscribed
     assert "scan" not in subscribed
-    assert node.core.is_paused
     node.close()

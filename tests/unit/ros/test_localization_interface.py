@@ -32,7 +32,7 @@ def map_file(tmp_path_factory):
 
 
 def started(given, transport=None):
-    node = RosNode(transport or LocalTransport(), node_parameters({"mode": "localization", **given}, "default"))
+    node = RosNode(transport or LocalTransport(), node_parameters(given, "default"))
     node.start()
     node.core.on_transforms([mounting()], static=True)
     return node
@@ -70,28 +70,6 @@ def test_a_cloud_with_weights_is_what_nav2_reads(ros):
         (3.0, 4.0, 0.75),
     ]
     assert cloud.particles[0].pose.orientation.z == pytest.approx(1.0)
-
-
-def test_a_robot_at_rest_is_updated_when_that_is_requested(map_file, log):
-    transport = LocalTransport()
-    node = started({"map_file": str(map_file), **placed(log)}, transport)
-    outputs = transport.outputs
-    standing = log.measurements[0]
-
-    def repeat(number):
-        scan = standing._replace(odometry=type(standing.odometry)(standing.odometry.stamp_ns, standing.odometry.pose))
-        before = len(outputs.poses)
-        play(node.core, outputs, [scan], shift_ns=SHIFT_NS + number * 100_000_000)
-        assert until(lambda: len(outputs.poses) > before)
-
-    for number in range(4):
-        repeat(number)
-    assert len(outputs.clouds) == 1
-    transport.services["request_nomotion_update"](None)
-    repeat(5)
-    repeat(6)
-    assert len(outputs.clouds) == 2
-    node.close()
 
 
 def test_without_tf_broadcast_no_transform_is_published():

@@ -5,7 +5,7 @@ import struct
 import numpy as np
 import pytest
 
-from gridslam.errors import ArgumentError, ConfigurationError, GridslamError, InputError
+from gridslam.errors import ArgumentError, GridslamError, InputError
 from gridslam.geometry.se2 import between
 from gridslam.io.bags.encoder import MessageEncoder
 from gridslam.io.bags.ros_messages import MessageError
@@ -36,7 +36,7 @@ def log():
 
 
 def node(outputs, map_file, record=None, **given):
-    parameters = node_parameters({"mode": "localization", "map_file": str(map_file), **given})
+    parameters = node_parameters({"map_file": str(map_file), **given})
     core = NodeCore(parameters.settings, parameters.configuration, outputs, record=record)
     core.on_transforms([mounting(0.0, 0.0)._replace(pose=(0.0,) * 6 + (1.0,))], static=True)
     core.start()
@@ -122,7 +122,6 @@ def test_where_people_say_it_is_comes_as_a_message(map_file, which, monkeypatch)
 
 def test_amcl_s_parameters_by_their_names(map_file):
     given = {
-        "mode": "localization",
         "map_file": str(map_file),
         "min_particles": 50,
         "max_particles": 200,
@@ -143,18 +142,9 @@ def test_amcl_s_parameters_by_their_names(map_file):
     assert found.configuration.initial_pose is None
 
 
-@pytest.mark.parametrize(
-    ("given", "error", "says"),
-    [
-        ({"mode": "localisation"}, ConfigurationError, "mode: expected mapping or localization"),
-        ({"mode": "localization"}, ConfigurationError, "map_file: expected the YAML file"),
-        ({"map_file": "a.yaml"}, ConfigurationError, "map_file: requires the mode localization"),
-        ({"mode": "localization", "map_file": "none.yaml"}, InputError, r"none\.yaml"),
-    ],
-)
-def test_what_cannot_be_is_said(given, error, says):
-    with pytest.raises(error, match=says):
-        node_parameters(given)
+def test_a_map_that_is_none_is_refused():
+    with pytest.raises(InputError, match=r"none\.yaml"):
+        node_parameters({"map_file": "none.yaml"})
 
 
 def test_a_node_that_maps_cannot_be_placed_and_one_that_localizes_saves_no_map(map_file, tmp_path):

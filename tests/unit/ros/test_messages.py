@@ -30,11 +30,11 @@ def test_bytes_that_are_no_scan_are_named_and_the_node_lives():
     node.start()
     take = transport.handlers
     try:
-        take["scan"](scan(26_214_400), "")
-        take["scan"](b"\0\1\0\0nonsense", "")
-        take["scan"](b"", "")
-        take["scan"](encode_message("std_msgs/Float64", (1.0,)), "")
-        take["/tf"](b"\0\1\0\0\xff\xff\xff\xff", "")
+        take["scan"](scan(26_214_400))
+        take["scan"](b"\0\1\0\0nonsense")
+        take["scan"](b"")
+        take["scan"](encode_message("std_msgs/Float64", (1.0,)))
+        take["/tf"](b"\0\1\0\0\xff\xff\xff\xff")
         values = node.core.diagnostics().values
         assert values["refused"] == "1"
         assert values["message refused, times"] == "4"
@@ -49,8 +49,7 @@ def test_bytes_that_are_no_scan_are_named_and_the_node_lives():
 def test_dynamic_map_answers_the_bytes_of_the_map_that_was_published(tmp_path):
     transport = LocalTransport()
     write_map(tmp_path / "flat.yaml", flat_map())
-    given = {"mode": "localization", "map_file": str(tmp_path / "flat.yaml")}
-    node = RosNode(transport, node_parameters(given, "default"))
+    node = RosNode(transport, node_parameters({"map_file": str(tmp_path / "flat.yaml")}, "default"))
     node.start()
     try:
         (published,) = transport.outputs.maps

@@ -83,7 +83,7 @@ def test_the_published_map_is_the_one_that_is_written(drive, tmp_path):
     assert until(lambda: outputs.maps[-1].stamp_ns == drive[-1].scan.stamp_ns + SHIFT_NS)
     core.save(tmp_path / "out")
     written = read_map(tmp_path / "out" / "map.yaml")
-    np.testing.assert_array_equal(map_cells(written, "trinary"), outputs.maps[-1].cells)
+    np.testing.assert_array_equal(map_cells(written), outputs.maps[-1].cells)
     np.testing.assert_allclose(outputs.maps[-1].origin, written.origin)
     core.close()
 

@@ -13,7 +13,6 @@ from gridslam.ros.node.parameters import (
     NODE_DEFAULTS,
     node_parameters,
 )
-from gridslam.ros.node.session_parameters import SESSION_DEFAULTS
 
 LISTED = """
 throttle_scans base_frame map_frame odom_frame map_update_interval maxUrange sigma kernelSize lstep astep iterations
@@ -30,9 +29,8 @@ def test_every_documented_parameter_is_known():
 def test_every_parameter_does_something_or_says_why_not():
     for name in GMAPPING_DEFAULTS:
         assert sum(name in table for table in (_FILTER, _DERIVED, _NODE, _UNSUPPORTED)) == 1, name
-    others = {"preset", "config", "set", "record", "out", "mode", "map_file", "scan_topic", "paused_new_measurements"}
-    others |= {"tf_broadcast"}
-    assert {*_NODE, *others, *SESSION_DEFAULTS} >= set(NODE_DEFAULTS)
+    others = {"preset", "config", "set", "record", "out", "save", "continue", "autosave", "map_file", "tf_broadcast"}
+    assert {*_NODE, *others} >= set(NODE_DEFAULTS)
 
 
 @pytest.mark.parametrize(
@@ -85,7 +83,6 @@ def test_what_a_parameter_comes_to(given, path, value):
         ({"map_update_interval": 1}, "map_update_interval_s", 1.0),
         ({"throttle_scans": 2}, "throttle_scans", 2),
         ({"base_frame": "base_footprint"}, "base_frame", "base_footprint"),
-        ({"map_values": "probability"}, "map_values", "probability"),
         ({"odometry": "optional"}, "odometry", "optional"),
     ],
 )
@@ -116,7 +113,6 @@ def test_all_that_is_ignored_is_named_in_one_sentence():
         ({"maxUrange": 0}, "^maxUrange and maxRange: expected a number greater than or equal to 0.000001"),
         ({"particles": 40.5}, "^particles: expected a valid integer"),
         ({"base_frame": "/"}, "^base_frame: .*expected the name of a frame"),
-        ({"map_values": "colours"}, "map_values: "),
         ({"preset": "best"}, "preset: expected"),
     ],
 )

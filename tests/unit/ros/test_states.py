@@ -26,7 +26,7 @@ from support.localization_world import drive as flat_drive
 from support.localization_world import flat_map
 from support.node_faults import SHIFT_NS, make_drive
 from support.page_client import PageClient
-from support.ros_node import ODOM, RecordedOutputs, mounting, odometry_message, play, scan_message, until
+from support.ros_node import ODOM, RecordedOutputs, in_filter, mounting, odometry_message, play, scan_message, until
 
 DOCS = Path(__file__).parents[3] / "docs" / "ros.md"
 MCL = MonteCarloConfiguration()
@@ -73,7 +73,7 @@ class Live:
             return counts.accepted + counts.refused + counts.dropped + counts.paused
 
         assert until(lambda: done() == counts.received), vars(counts)
-        self.core.ask(lambda: None)
+        in_filter(self.core)
 
     def pass_time(self, seconds: float, *, still_come: bool = False) -> None:
         """Let time pass, as the state sees it, in which scans still come or not."""
@@ -104,14 +104,14 @@ class Live:
         self.play()
 
     def publish_twice(self) -> None:
-        for publisher in ("/wheels", "/other"):
-            self.core.on_transforms([odometry_message(self.drive[0], SHIFT_NS)], publisher=publisher)
+        odometry = odometry_message(self.drive[0], SHIFT_NS)
+        self.core.on_transforms([odometry, odometry._replace(parent="wheels")])
         self.play()
 
     def publish_map_to_odom(self) -> None:
         self.play(2)
         foreign = odometry_message(self.drive[0], SHIFT_NS)._replace(parent="world", child=ODOM)
-        self.core.on_transforms([foreign], publisher="/amcl")
+        self.core.on_transforms([foreign])
         self.play()
 
     def jump_odometry(self) -> None:
@@ -176,7 +176,7 @@ FAULTS = {
     "clocks differ": Fault(Live.set_clock, "running", "mapping", "clock differs: scans are stamped 3.0 years before"),
     "the wheels' driver restarts": Fault(Live.jump_odometry, "running", "mapping", "odometry jumped: by 3"),
     "the disk is full": Fault(Live.fill_disk, "running", "mapping", "record: "),
-    "two drivers of the wheels": Fault(Live.publish_twice, "running", "mapping", "two transforms: base_link is"),
+    "the base has two parents": Fault(Live.publish_twice, "running", "mapping", "two transforms: base_link is"),
     "another localization runs": Fault(Live.publish_map_to_odom, "running", "mapping", "transform of another node"),
     "paused": Fault(lambda live: (live.play(), live.core.pause(True)), "paused", "paused"),
     "the filter fails": Fault(Live.break_filter, "failed", "the filter failed: SystemError: injected", level="error"),

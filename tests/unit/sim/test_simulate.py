@@ -15,7 +15,6 @@ from gridslam.sim import (
     World,
     make_world,
     simulate,
-    simulate_stream,
 )
 from gridslam.sim.floor_plan import box, clearance, polyline
 
@@ -56,23 +55,8 @@ def test_robot_that_does_not_fit_is_refused_with_the_place():
         simulate(world, RobotConfig(radius_m=0.6), EXACT, NOISELESS, np.random.default_rng(0))
 
 
-def test_stream_gives_the_same_bytes_and_leaves_the_generator_as_simulate_does():
-    lidar, people = LidarConfig(rate_hz=4.0, beams=40), PeopleConfig(count=2)
-    parts = make_world("rooms", np.random.default_rng(0)), RobotConfig(), OdometryNoise(), lidar
-    one, other = np.random.default_rng(8), np.random.default_rng(8)
-    log, stream = simulate(*parts, one, people=people), simulate_stream(*parts, other, people=people)
-    assert len(stream) == len(log) > 256  # more than are made at a time
-    assert one.random() == other.random()  # and what is drawn meanwhile changes nothing
-    assert stream.truth.poses.tobytes() == log.truth.poses.tobytes()
-    assert stream.odometry.poses.tobytes() == log.odometry.poses.tobytes()
-    for mine, streamed in zip(log.measurements, stream.measurements, strict=True):
-        assert mine.scan.ranges.tobytes() == streamed.scan.ranges.tobytes()
-        assert mine.odometry.pose.tobytes() == streamed.odometry.pose.tobytes()
-    assert next(stream.measurements, None) is None
-
-
 def test_logs_are_what_they_always_were():
-    """Taken down before logs were streamed."""
+    """Taken down when scans were cast one after the other."""
     log = _rooms(3, LidarConfig(rate_hz=2.0), OdometryNoise(), PeopleConfig(count=2))
     assert sum(m.scan.ranges.sum() for m in log.measurements) == pytest.approx(134993.2401222695, rel=1e-12)
     assert log.odometry.poses[-1] == pytest.approx([2.289778533159554, 2.6301774718074427, 2.7027081118604177])

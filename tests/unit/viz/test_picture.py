@@ -16,12 +16,9 @@ from gridslam.viz.canvas import (
     MARGIN,
     OCCUPIED,
     REJECTED,
-    TEXT_SIZE,
     TIME_ENDS,
     TRUTH,
     UNKNOWN,
-    arrange_keys,
-    font,
     time_colours,
 )
 from gridslam.viz.cloud import select_representatives
@@ -120,19 +117,15 @@ def test_scale_bar_is_as_long_as_its_label_says(shape, monkeypatch):
 
 
 def test_keys_of_long_names_leave_the_caption_free():
-    names = [f"{day}_2026-03-02_corridor_and_laboratory" for day in ("monday", "tuesday", "wednesday")]
-    keys = [(name, (0, 0, 0)) for name in names]
-
-    def length(shown):
-        return sum(font(TEXT_SIZE, 1.0).getlength(name) + 70 for name, _ in shown)
-
-    assert arrange_keys(keys, 5000.0, 3, 1.0) == [keys]
-    assert arrange_keys(keys, 700.0, 3, 1.0) == [[key] for key in keys], "rows, before names are cut"
-    (cut,) = arrange_keys(keys, 700.0, 1, 1.0)
-    assert length(cut) <= 700.0
-    assert [name[:4] for name, _ in cut] == ["mond", "tues", "wedn"]
-    assert length(arrange_keys(keys, 200.0, 1, 1.0)[0]) <= 200.0
-    title = " + ".join(names)
+    drives = {f"{day}_2026-03-02_corridor": _straight((1, k), (9, k)) for k, day in enumerate("abcdefg", 1)}
+    grid, caption = _grid((200, 200)), ["a" * 60, "b", "c", "d"]
+    top = lay_out(grid, "", caption).map_box[3] + 60
+    page = np.asarray(draw_map(grid, drives, caption=caption))[top:]
+    first = (page == (213, 94, 0)).all(axis=2).any(axis=0)  # the sample of the first drive's colour
+    assert first[600:].any()
+    coloured = (np.ptp(page.astype(np.int16), axis=2) > 60).any(axis=0)
+    assert not coloured[:600].any(), "there is the caption"
+    title = " + ".join(drives)
     sizes = {draw_map(_grid((700, 700)), title=text, caption=["a"]).size for text in (title, 5 * title)}
     assert len(sizes) == 1, "a long title is cut"
 
@@ -168,35 +161,20 @@ def _square(closures=((0, 3),), side_m=10.0):
     return PoseGraph.of(poses, edges, np.zeros((len(edges), 3)), [np.eye(3)] * len(edges))
 
 
-def _panels(page):
-    """Left, top, right, bottom of the two panels: what is almost white and large."""
-    white = (np.asarray(page) == FREE).all(axis=2)
-    rows = np.flatnonzero(white.mean(axis=1) > 0.3)
-    columns = np.flatnonzero(white[rows].mean(axis=0) > 0.3)
-    across, down = (np.split(k, np.flatnonzero(np.diff(k) > 50) + 1) for k in (columns, rows))
-    return [(c[0], r[0], c[-1] + 1, r[-1] + 1) for r in down for c in across]
+def _has(page, colour):
+    return bool((np.asarray(page) == colour).all(axis=2).any())
 
 
-def _has(page, box, colour, within=0):
-    return bool((np.abs(np.asarray(page.crop(box)).astype(np.int16) - colour).max(axis=2) <= within).any())
-
-
-def test_both_states_are_drawn_and_the_path_has_the_colours_of_its_order():
+def test_a_graph_has_its_closures_and_the_colours_of_its_order():
     graph = _square()
-    page = draw_graph(graph, graph.poses * 0.9)
-    before, after = _panels(page)
-    for box in (before, after):
-        assert _has(page, box, CLOSURE)
-        assert _has(page, box, TIME_ENDS[1])
-        assert not _has(page, box, REJECTED)
-        for share in (1 / 3, 2 / 3):  # the dots of the poses between the ends
-            assert _has(page, box, time_colours(np.array([share]))[0])
-
-
-def test_poses_that_are_all_in_one_place_before():
-    graph = _square()
-    page = draw_graph(graph, np.zeros((4, 3)))
-    assert _has(page, _panels(page)[1], CLOSURE)
+    page = draw_graph(graph)
+    assert _has(page, CLOSURE)
+    assert _has(page, TIME_ENDS[1])
+    assert not _has(page, REJECTED)
+    for share in (1 / 3, 2 / 3):  # the dots of the poses between the ends
+        assert _has(page, time_colours(np.array([share]))[0])
+    assert _has(draw_graph(graph, rejected=~graph.trusted), REJECTED)
+    draw_graph(_square(side_m=0.0))
 
 
 def test_an_ellipse_has_its_distance_from_the_centre_everywhere():

@@ -152,7 +152,7 @@ def graph_command(**options: Any) -> None:  # noqa: ANN401
 
     FILE is in g2o format, plain or compressed (.gz, .bz2).
 
-    Writes to OUT: graph.g2o (the optimized poses), graph.png (before and after), graph.json and, with --robust,
+    Writes to OUT: graph.g2o (the optimized poses), graph.png, graph.json and, with --robust,
     weights.csv.
     """
     from gridslam.cli.graph import graph_to_folder

@@ -29,20 +29,18 @@ def doctor_command(**options: Any) -> Any:  # noqa: ANN401
 @click.command("convert")
 @click.argument("log", metavar="IN", type=LOG)
 @click.argument("out", type=OUTPUT_FILE)
-@click.option("--to", type=click.Choice(["csv", "tum", "ros1", "ros2", "mcap"]), help="Format of OUT.")
 @log_options
 @json_option
 def convert_command(**options: Any) -> None:  # noqa: ANN401
     """Write the log IN in another format.
 
     \b
-    The format follows from the suffix of OUT unless --to is given:
+    The format follows from the suffix of OUT:
       .csv                  a row for each scan (columns: docs/logs.md)
-      .tum                  the odometry alone
       .bag                  ROS 1
       .mcap, .db3, a name without suffix (a folder)   ROS 2
 
-    CSV is compressed if the name ends in .gz or .bz2. Data that the format of OUT cannot represent is reported.
+    CSV is compressed if the name ends in .gz or .bz2.
     """
     from gridslam.cli.logs import convert
 

@@ -8,7 +8,7 @@ from typing import Any
 import click
 
 from gridslam.cli.option_types import OUTPUT_FILE, OUTPUT_FOLDER, PATH, SEED, THREADS, Number
-from gridslam.cli.options import SETTINGS, add_options, assignment_option, floor_option, read_pose, robot_live_options
+from gridslam.cli.options import SETTINGS, add_options, assignment_option, robot_live_options
 
 _NODE_OPTIONS = (
     click.argument("arguments", nargs=-1, type=click.UNPROCESSED),
@@ -25,12 +25,6 @@ _NODE_OPTIONS = (
     ),
     click.option("--save", type=OUTPUT_FILE, metavar="FILE", help="Save the session to this file at the end."),
     click.option("--continue", "continued", type=PATH, metavar="FILE", help="Continue this session file."),
-    click.option("--same-place", is_flag=True, help="The robot is where the session ended."),
-    click.option("--elsewhere", is_flag=True, help="The robot is elsewhere in the session's map, or beside it."),
-    click.option(
-        "--pose", "begin_pose", callback=read_pose, metavar="X,Y,THETA", help="About where in that map, m, rad."
-    ),
-    floor_option,
     click.option(
         "--autosave",
         type=Number(0),

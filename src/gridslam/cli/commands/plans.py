@@ -30,10 +30,10 @@ _floor_option = click.option(
 def plan_command(**options: Any) -> None:  # noqa: ANN401
     """Make a floor plan of SOURCE: walls, doors, rooms and their measures (extra: map).
 
-    SOURCE is a map's YAML file, its edits (see `gridslam mask`), the folder OUT of `gridslam map`, or a session. Where
-    there are scans the walls are fitted to their end points, and otherwise to the map's cells.
+    SOURCE is a map's YAML file, the folder OUT of `gridslam map`, or a session. Where there are scans the walls are
+    fitted to their end points, and otherwise to the map's cells. Rooms have the names in edits.geojson beside the map.
 
-    Writes to OUT: plan.svg (to scale, its walls along the sheet), plan.dxf (CAD), plan.geojson and plan.json.
+    Writes to OUT: plan.svg (to scale, its walls along the sheet), plan.geojson and plan.json.
     """
     from gridslam.cli.plan import plan_to_folder
 
@@ -53,7 +53,7 @@ def changes_command(**options: Any) -> None:  # noqa: ANN401
     FIRST and SECOND are each a map's YAML file, the folder OUT of `gridslam map`, or a session. What either has not
     seen is left open.
 
-    Writes to OUT: changes.png, changes.geojson (in the frame of FIRST) and changes.json.
+    Writes to OUT: changes.png and changes.json (with outlines in the frame of FIRST).
     """
     from gridslam.cli.plan import changes_to_folder
 
@@ -84,13 +84,19 @@ def mask_command(**options: Any) -> None:  # noqa: ANN401
 @click.argument("plan", type=PATH)
 @_floor_option
 @out_option
-@click.option("--unit", "unit_m", type=Number(1e-6, 1e4), metavar="METRES", help="Length of PLAN's pixel or unit.")
+@click.option(
+    "--unit",
+    "unit_m",
+    type=Number(1e-6, 1e4),
+    metavar="METRES",
+    help="Length of a pixel of PLAN, an image.",
+)
 @json_option
 def align_command(**options: Any) -> None:  # noqa: ANN401
     """Align MAP with an architect's plan or another map.
 
-    MAP is a map's YAML file, the folder OUT of `gridslam map`, or a session; PLAN an image (dark walls), a DXF,
-    or another map. Walls are matched without a first guess; --unit may be off by a few percent.
+    MAP is a map's YAML file, the folder OUT of `gridslam map`, or a session; PLAN an image (dark walls) or
+    another map. Walls are matched without a first guess; --unit may be off by a few percent.
 
     Writes to OUT: align.json (with residuals), map.yaml (in the plan's frame, with a rotated origin) and align.png.
     """

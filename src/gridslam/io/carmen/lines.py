@@ -10,7 +10,6 @@ import numpy as np
 
 from gridslam.geometry.angles import find_wrong_beam_angles
 from gridslam.io.measurement import FARTHEST_M
-from gridslam.kernels import backend
 from gridslam.types import FloatArray
 
 SCAN_TAGS = {"FLASER": "front", "RLASER": "rear", "REMISSIONFLASER": "front", "ROBOTLASER1": "robotlaser1"}
@@ -75,9 +74,7 @@ def parse_rows(tag: str, texts: Sequence[str]) -> list[tuple[int, ScanRows]]:
     Raises LineError with the offending row.
     """
     try:
-        values = backend.parse_numbers("\n".join(texts).encode("latin-1"), len(texts))
-        if not len(values):  # some are written otherwise, as "nan"
-            values = np.loadtxt(texts, dtype=np.float64, comments=None, ndmin=2)
+        values = np.loadtxt(texts, dtype=np.float64, comments=None, ndmin=2)
         if len(values) == len(texts) and _have_same_form(tag, values):
             return [(0, _decode(tag, values))]
     except ValueError:

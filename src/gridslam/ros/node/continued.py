@@ -11,19 +11,18 @@ from typing import final
 
 import numpy as np
 
-from gridslam.api.beginning import Beginning, Place, decide_place, locate_in, restart_at_same_place
+from gridslam.api.beginning import Beginning, decide_place, locate_in
 from gridslam.api.session import Session as SavedDrives
 from gridslam.config import Configuration
 from gridslam.errors import GridslamError
 from gridslam.io.measurement import Measurement
 from gridslam.io.sessions.background_writer import lower_priority
-from gridslam.io.sessions.drives import SavedPiece, choose_name, find_floor
+from gridslam.io.sessions.drives import SavedPiece, choose_name
 from gridslam.io.sessions.session_file import SavedRun, SavedSession, read_session
 from gridslam.pipeline import describe_error
 from gridslam.ros.node.messages import Level
 from gridslam.slam.full_slam.earlier_pieces import EarlierPieces
 from gridslam.slam.grid_fastslam.grid_fastslam import GridFastSlam
-from gridslam.types import FloatArray
 
 Log = Callable[[Level, str], None]
 
@@ -39,26 +38,21 @@ class Continued:
         Its file.
     saved : SavedSession
         What it holds.
-    place : Place
-        Whether the robot is where the last drive has ended; by default stamps, odometry and the first scan decide.
-    pose : (3,) float64 or None
-        About where the robot is in the map of the newest piece, if that is known.
+    is_elsewhere : bool
+        Whether the robot is not where the last drive has ended; else stamps, odometry and the first scan decide.
     is_in_file : bool
         Whether the file holds it, or what it has begun with: then the session may replace the file.
     """
 
     path: Path
     saved: SavedSession
-    place: Place = Place.AUTO
-    pose: FloatArray | None = None
+    is_elsewhere: bool = False
     is_in_file: bool = True
 
     @classmethod
-    def read(
-        cls, path: str | Path, threads: int = 1, place: Place = Place.AUTO, pose: FloatArray | None = None
-    ) -> Continued:
+    def read(cls, path: str | Path, threads: int = 1) -> Continued:
         """Read a session file; raises InputError if it is none."""
-        return cls(Path(path), read_session(path, threads), place, pose)
+        return cls(Path(path), read_session(path, threads))
 
     @property
     def names(self) -> list[str]:
@@ -80,18 +74,13 @@ class EarlierDrives:
         Of the kernels.
     is_new_drive : bool
         Whether the drive that the session has ended with is earlier, too; otherwise it goes on.
-    floor : str
-        Where the robot is; empty where it is not known.
     """
 
-    def __init__(
-        self, continued: Continued, configuration: Configuration, threads: int, *, is_new_drive: bool, floor: str = ""
-    ) -> None:
+    def __init__(self, continued: Continued, configuration: Configuration, threads: int, *, is_new_drive: bool) -> None:
         self._continued = continued
         self._configuration = configuration
         self._threads = threads
         self._is_new_drive = is_new_drive
-        self._floor = floor
         self._found: tuple[tuple[SavedPiece, ...], EarlierPieces | None] | None = None
         self._problem = ""
         self._thread = threading.Thread(target=self._prepare, name="gridslam-earlier", daemon=True)
@@ -121,42 +110,30 @@ class EarlierDrives:
             pieces, run = saved.pieces, saved.run
             if self._is_new_drive or run is None:
                 pieces = tuple(SavedDrives.of(saved, threads=self._threads).pieces)
-                run = SavedRun(np.random.default_rng(saved.seed), floor=self._floor)
-            self._found = pieces, locate_in(pieces, self._configuration, run, self._continued.pose)
+                run = SavedRun(np.random.default_rng(saved.seed))
+            self._found = pieces, locate_in(pieces, self._configuration, run)
         except Exception as error:  # reported by the filter's thread
             self._problem = describe_error(error)
 
 
 def begin(
-    continued: Continued | None, first: Measurement, slam: GridFastSlam, seed: int, log: Log, floor: str = ""
+    continued: Continued | None, first: Measurement, slam: GridFastSlam, seed: int, log: Log
 ) -> tuple[Beginning, bool]:
-    """Decide what a mapping session begins with at its first measurement, and whether that is a new drive.
-
-    A robot on another floor than that on which the session has ended is elsewhere.
-    """
+    """Decide what a mapping session begins with at its first measurement, and whether that is a new drive."""
     name = datetime.fromtimestamp(1e-9 * first.scan.stamp_ns, timezone.utc).strftime("%Y-%m-%d_%H-%M-%S")
     if continued is None:
-        return Beginning(SavedRun(np.random.default_rng(seed), name=name, floor=floor)), True
+        return Beginning(SavedRun(np.random.default_rng(seed), name=name)), True
     saved = continued.saved
     reason = "the newest drive has ended"
-    is_same = False
-    before = "" if saved.run is None else find_floor(saved.run.drives)
-    if "" not in (floor, before) and floor != before:
-        reason = f"it was on {before}, and is on {floor}"
-    elif saved.run is not None and continued.pose is None:
+    if saved.run is not None:
         decision = decide_place(saved.run, slam, first)
         reason = decision.reason
-        is_same = decision.is_same if continued.place is Place.AUTO else continued.place is Place.SAME
-        if is_same:
-            run = saved.run.snapshot()
-            run = replace(run, floor=run.floor or floor)
-            if run.state is not None and not decision.is_same:
-                restart_at_same_place(run.state, first)
+        if decision.is_same and not continued.is_elsewhere:
             log(Level.OK, f"session {continued.path}: goes on where it has ended: {reason}")
-            return Beginning(run, saved.pieces), False
+            return Beginning(saved.run.snapshot(), saved.pieces), False
     drives = continued.names
     log(Level.OK, f"session {continued.path}: goes on elsewhere, the robot is looked for in its map: {reason}")
-    run = SavedRun(np.random.default_rng(saved.seed + len(drives)), name=choose_name(name, drives), floor=floor)
+    run = SavedRun(np.random.default_rng(saved.seed + len(drives)), name=choose_name(name, drives))
     return Beginning(run), True
 
 

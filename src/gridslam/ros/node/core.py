@@ -10,11 +10,10 @@ from contextlib import contextmanager, suppress
 from functools import partial
 from itertools import chain
 from pathlib import Path
-from typing import Any, TypeAlias, TypeVar, final
+from typing import Any, TypeAlias, final
 
 import numpy as np
 
-from gridslam.api.beginning import Place
 from gridslam.config import Configuration
 from gridslam.doctor import BreakCheck, EarlyCheck, Finding
 from gridslam.doctor.view_breaks import DriveNumbering
@@ -40,11 +39,7 @@ DiagnosticsCallback: TypeAlias = Callable[[Diagnostics], None]
 
 _DIAGNOSTICS_S = 1.0
 _FOUND = (SessionEnd.JUMP, SessionEnd.CARRIED)
-"""Ends that nobody asked for."""
-_SAVED = (*_FOUND, SessionEnd.SESSION)
-"""Ends at which the session is saved."""
-
-_Answer = TypeVar("_Answer")
+"""Ends that nobody asked for, at which the session is saved."""
 
 
 @final
@@ -121,9 +116,10 @@ class NodeCore:
         self._queue = MeasurementQueue(settings, self._warn)
         self._known_map: GridMessage | None = None
         self._renderer: MapRenderer | None = None
-        self._publisher = StatePublisher(settings, outputs, None, self._queue, self._warn)
+        if isinstance(configuration, Configuration):
+            self._renderer = MapRenderer(configuration.mapper, settings, outputs.map)
+        self._publisher = StatePublisher(settings, outputs, self._renderer, self._queue, self._warn)
         self._continued = None if files is None else files.continued
-        self._floor = "" if files is None else files.floor
         self._goes_on = None if files is None else files.save or (files.continued and files.continued.path)
         self._session_end = SessionEnd.CLOSED
         self._drive = 0
@@ -200,12 +196,9 @@ class NodeCore:
         """Queue a scan of the topic `sensor`; never blocks."""
         self._queue.add_scan(message, sensor)
 
-    def on_transforms(
-        self, transforms: Sequence[StampedTransform], *, static: bool = False, publisher: str = ""
-    ) -> None:
-        """Add transforms, with the name of their publisher if known; never blocks."""
-        foreign = self._publisher.drop_own_transforms(transforms, publisher)
-        self._queue.add_transforms(foreign, static=static, publisher=publisher)
+    def on_transforms(self, transforms: Sequence[StampedTransform], *, static: bool = False) -> None:
+        """Add transforms; never blocks."""
+        self._queue.add_transforms(self._publisher.drop_own_transforms(transforms), static=static)
 
     def refuse_message(self, what: str, problem: str) -> None:
         """Report a message that the transport could not even decode."""
@@ -248,15 +241,6 @@ class NodeCore:
         self._known_map = message._replace(stamp_ns=self._outputs.now_ns())
         self._outputs.map(self._known_map)
 
-    def update_once(self) -> None:
-        """Update the particles of a localization at the next scan, even if the robot does not move."""
-
-        def apply() -> None:
-            if isinstance(self._session, LocalizationSession):
-                self._session.update_once()
-
-        self._queue.post(apply)
-
     def pause(self, paused: bool) -> None:
         """Drop incoming scans, or accept them again."""
         self._queue.is_paused = paused
@@ -266,50 +250,27 @@ class NodeCore:
         """Whether the map is known."""
         return isinstance(self.configuration, Localization)
 
-    @property
-    def is_paused(self) -> bool:
-        """Whether incoming scans are dropped."""
-        return self._queue.is_paused
-
     def save(self, folder: str | Path, timeout_s: float = 60.0) -> dict[str, Any]:
-        """Write the output files of `gridslam map`; the filter waits only while its state is copied.
+        """Write the output files of `gridslam map`, and autosave the session; the filter waits while tables are copied.
 
         Returns the content of run.json. Raises GridslamError if nothing is mapped yet, OutputError if the folder
-        cannot be written or the filter does not answer.
+        cannot be written or the filter does not respond.
         """
-        return self.copy_session(timeout_s).save(folder)
-
-    def copy_session(self, timeout_s: float = 60.0) -> SessionCopy:
-        """Copy the mapping session; raises GridslamError if nothing is mapped yet, OutputError as `ask`."""
-        return self.ask(self._copy_mapped, timeout_s)
-
-    def ask(self, call: Callable[[], _Answer], timeout_s: float = 60.0) -> _Answer:
-        """Run a call in the filter's thread between two scans, and give what it returns or raises.
-
-        Raises OutputError if the filter does not respond in time.
-        """
-        answer: Future[_Answer] = Future()
+        answer: Future[SessionCopy] = Future()
 
         def respond() -> None:
             try:
-                answer.set_result(call())
+                answer.set_result(self._copy_mapped())
             except GridslamError as error:
                 answer.set_exception(error)
+            self._save_now()
 
         self._queue.post(respond)
         try:
-            return answer.result(0.0 if self.ended.is_set() else timeout_s)
+            copied = answer.result(0.0 if self.ended.is_set() else timeout_s)
         except TimeoutError:
             raise OutputError(f"the filter did not respond within {timeout_s:g} s") from None
-
-    def begin_session(self, continued: Continued) -> None:
-        """End the session, which is saved as where time jumps back, and go on from another one; in the filter's thread.
-
-        With its own configuration. The first scan decides where the robot begins.
-        """
-        self._continued = continued
-        self.configuration = continued.saved.configuration
-        self._queue.end_session(SessionEnd.SESSION)
+        return copied.save(folder)
 
     @property
     def mapped_session(self) -> Session | None:
@@ -345,7 +306,7 @@ class NodeCore:
         end = self._session_end
         is_begun = self._session.state is not None
         forgets = end is SessionEnd.RESET and isinstance(self._session, Session) and self._session.continued is not None
-        if not is_begun and end is not SessionEnd.SESSION and not forgets:
+        if not is_begun and not forgets:
             return
         is_carried = end is SessionEnd.CARRIED
         if is_begun:
@@ -393,13 +354,13 @@ class NodeCore:
         if saved is not None:
             is_in_file = mapped.continued is not None and mapped.continued.is_in_file
             path = self._goes_on or self.results_folder / "session.gridslam"  # where it is saved if somebody asks
-            self._continued = Continued(path, saved, Place.ELSEWHERE, is_in_file=is_in_file)
+            self._continued = Continued(path, saved, is_elsewhere=True, is_in_file=is_in_file)
 
     def _hand_over_session(self) -> None:
         """Give a copy of a session that ends without a reset to whoever saves it, unless the next one holds it."""
         end = self._session_end
         goes_on = end is SessionEnd.CARRIED and self._continued is not None
-        on_jump = None if goes_on or end not in _SAVED or self.mapped_session is None else self._on_jump
+        on_jump = None if goes_on or end not in _FOUND or self.mapped_session is None else self._on_jump
         if on_jump is None and not goes_on:
             return
         with self._reporting("session not saved"):
@@ -513,19 +474,10 @@ class NodeCore:
         if isinstance(self.configuration, Localization):
             self._session = LocalizationSession(self.configuration, self.settings.seed)
             return
-        self._use_renderer(self.configuration)
         seed = self.settings.seed if self._continued is None else self._continued.saved.seed
         log = self.messages.report
-        self._session = Session(self.configuration, seed, self.settings.threads, self._continued, log, self._floor)
+        self._session = Session(self.configuration, seed, self.settings.threads, self._continued, log)
         self._continued = None  # a later one begins with nothing
-
-    def _use_renderer(self, configuration: Configuration) -> None:
-        """Render maps of this configuration."""
-        if self._renderer is None or self._renderer.mapper != configuration.mapper:
-            if self._renderer is not None:
-                self._renderer.close()
-            self._renderer = MapRenderer(configuration.mapper, self.settings, self._outputs.map)
-            self._publisher.renderer = self._renderer
 
     def _begin_record(self) -> None:
         self._recorder = None

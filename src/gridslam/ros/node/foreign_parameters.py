@@ -10,7 +10,6 @@ from collections.abc import Mapping
 from typing import Any, Final
 
 from gridslam.errors import ConfigurationError
-from gridslam.ros.node.session_parameters import find_saved_session
 
 _MEANINGS: Final[Mapping[str, str]] = {
     "resolution": "delta",
@@ -26,7 +25,7 @@ _OWN_MATCHER = "the scan matcher is another one: parameters of this filter by se
 _OWN_CLOSURE = "loop closure is another one: parameters of this filter by set"
 _OWN_SOLVER = "the pose graph has a solver of its own"
 _PAGE = "the page of --live serves for that"
-_NO_GRAPH = "pose graphs of slam_toolbox cannot be read, and there is no NAME.gridslam: map_file takes a map"
+_NO_GRAPH = "pose graphs of slam_toolbox cannot be read: continue takes a session, map_file a map"
 
 _IGNORED: Final[Mapping[str, str]] = {
     "solver_plugin": _OWN_SOLVER,
@@ -49,32 +48,15 @@ _IGNORED: Final[Mapping[str, str]] = {
     "lifelong_[a-z_]+": "old key scans are never removed",
     "use_lifecycle_manager|bond_timeout": "the node is not managed: it maps from its start",
     "map_name": "remap the topic map",
+    "mode": "a node with a map_file localizes in it, any other one maps",
+    "paused_new_measurements": "the service ~/pause pauses the node",
     "laser_frame": "the scan's header names it",
     "publish_occupancy_map|online|sychronous|synchronous": "that is how the node runs anyway",
 }
 """Patterns of names without an equivalent, with the reason."""
 
-_START: Final = ("map_file_name", "map_start_pose", "map_start_at_dock")
-
 FOREIGN_NAMES: Final = (*_MEANINGS, "min_laser_range", "do_loop_closing")
 """Names of slam_toolbox and map_server that change something here."""
-
-
-def _translate_session(given: Mapping[str, Any], names: dict[str, str]) -> Mapping[str, Any]:
-    """Translate the map that slam_toolbox starts from, where gridslam has saved one of that name."""
-    session = find_saved_session(str(given.get("map_file_name", "")))
-    if not session or "continue" in given:
-        return given
-    found = {name: value for name, value in given.items() if name not in _START}
-    found["continue"] = session
-    names["continue"] = "map_file_name"
-    if given.get("map_start_at_dock") is True:
-        found["begin_at"] = "same place"
-        names["begin_at"] = "map_start_at_dock"
-    elif "map_start_pose" in given:
-        found["begin_pose"] = str(given["map_start_pose"]).strip("[]()")
-        names["begin_pose"] = "map_start_pose"
-    return found
 
 
 def translate_parameters(given: Mapping[str, Any]) -> tuple[dict[str, Any], dict[str, str], dict[str, str]]:
@@ -103,7 +85,6 @@ def translate_parameters(given: Mapping[str, Any]) -> tuple[dict[str, Any], dict
     names: dict[str, str] = {}
     ignored: dict[str, str] = {}
     assignments: list[str] = []
-    given = _translate_session(given, names)
     for name, value in given.items():
         meaning = _MEANINGS.get(name)
         if meaning is not None:

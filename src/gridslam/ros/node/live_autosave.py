@@ -34,15 +34,12 @@ class SessionFiles:
         Written now and then.
     autosave_period_s : float, s, > 0
         Time between two of them.
-    floor : str
-        Where the robot is; empty where it is not known.
     """
 
     continued: Continued | None = None
     save: Path | None = None
     autosave: Path | None = None
     autosave_period_s: float = 300.0
-    floor: str = ""
 
 
 @final

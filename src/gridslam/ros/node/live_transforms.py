@@ -13,8 +13,8 @@ Warn: TypeAlias = Callable[[str, str], None]
 """Called with the kind of a problem, and the problem."""
 
 _KEEP_S = 10.0
-_MAX_SOURCES = 16  # of one frame
-_SIMULTANEOUS_NS = 2_000_000_000  # readings of two publishers within this count as simultaneous
+_MAX_PARENTS = 16  # of one frame
+_SIMULTANEOUS_NS = 2_000_000_000  # readings with two parents within this count as simultaneous
 
 
 @final
@@ -65,10 +65,10 @@ class LiveTransforms:
         self._warn = warn
         self._static: dict[tuple[str, str], StampedTransform] = {}
         self._latest_ns: dict[tuple[str, str], int] = {}
-        self._sources: dict[str, dict[tuple[str, str], tuple[int, int] | None]] = {}  # of a child: first and last stamp
+        self._parents: dict[str, dict[str, tuple[int, int] | None]] = {}  # of a child: first and last stamp
 
-    def add(self, transforms: Iterable[StampedTransform], *, static: bool, publisher: str = "") -> None:
-        """Add readings; those that are invalid, or that contradict another publisher, are reported."""
+    def add(self, transforms: Iterable[StampedTransform], *, static: bool) -> None:
+        """Add readings; those that are invalid, or that give a frame a second parent, are reported."""
         for transform in transforms:
             try:
                 if static:
@@ -76,7 +76,7 @@ class LiveTransforms:
                 elif self._detect_jump(transform):
                     self._restart()
                 self._add(transform, static)
-                self._check_publishers(transform, static, publisher)
+                self._check_parents(transform, static)
                 self._forget(transform)
             except (ArgumentError, OverflowError) as error:
                 self._forget(transform)
@@ -97,21 +97,19 @@ class LiveTransforms:
         stamp_ns, parent, child, pose = transform
         self.buffer.add_quaternion(parent, child, stamp_ns, pose[:3], pose[3:], static)
 
-    def _check_publishers(self, transform: StampedTransform, static: bool, publisher: str) -> None:
-        """Warn if a frame has two parents, or if two publishers publish its transform: not one after the other."""
+    def _check_parents(self, transform: StampedTransform, static: bool) -> None:
+        """Warn if a frame has two parents at a time."""
         stamp_ns, parent, child, _ = transform
-        sources = self._sources.setdefault(child, {})
-        own = parent, "" if static else publisher
-        before = sources.get(own)
+        parents = self._parents.setdefault(child, {})
+        before = parents.get(parent)
         first_ns = stamp_ns if before is None or stamp_ns - before[1] > _SIMULTANEOUS_NS else before[0]
-        sources[own] = None if static else (first_ns, stamp_ns)
-        if len(sources) > _MAX_SOURCES:
-            del sources[next(iter(sources))]
-        for (other, of), times in sources.items() if len(sources) > 1 else ():
-            differs = other != parent or (of != publisher and not static and times is not None)
-            if differs and (static or times is None or first_ns <= times[1] <= stamp_ns + _SIMULTANEOUS_NS):
-                where = [f"in {one}" + (f" by {by}" if by else "") for one, by in ((parent, publisher), (other, of))]
-                twice = f"{child} is published twice ({' and '.join(where)}): stop one of the two publishers"
+        parents[parent] = None if static else (first_ns, stamp_ns)
+        if len(parents) > _MAX_PARENTS:
+            del parents[next(iter(parents))]
+        for other, times in parents.items():
+            is_now = static or times is None or first_ns <= times[1] <= stamp_ns + _SIMULTANEOUS_NS
+            if other != parent and is_now:
+                twice = f"{child} is published twice (in {parent} and in {other}): stop one of the two publishers"
                 self._warn("two transforms", twice)
 
     def _detect_jump(self, transform: StampedTransform) -> bool:
@@ -127,6 +125,6 @@ class LiveTransforms:
     def _restart(self) -> None:
         self.buffer = TransformBuffer(_KEEP_S)
         self._latest_ns.clear()
-        self._sources.clear()
+        self._parents.clear()
         for transform in self._static.values():
             self._add(transform, static=True)

@@ -52,8 +52,6 @@ class Session:
         What it goes on from.
     log : callable
         Reports to the user.
-    floor : str
-        Where the robot is; empty where it is not known.
 
     Attributes
     ----------
@@ -74,7 +72,6 @@ class Session:
         threads: int,
         continued: Continued | None = None,
         log: Callable[[Level, str], None] = lambda level, text: None,
-        floor: str = "",
     ) -> None:
         for name in _PRELOADED:
             import_module(name)
@@ -85,7 +82,6 @@ class Session:
         self._seed = seed
         self._threads = threads
         self._report = log
-        self._floor = floor
         self._log = LogStatistics()
         self._stopwatch = Stopwatch()
         self._failures = FailureRecorder()
@@ -166,11 +162,9 @@ class Session:
         return _make_session(self.configuration, self._seed, begun, self.state, self._log, None)
 
     def _begin(self, first: Measurement, slam: GridFastSlam) -> None:
-        self._begun, is_new = begin(self.continued, first, slam, self._seed, self._report, self._floor)
+        self._begun, is_new = begin(self.continued, first, slam, self._seed, self._report)
         if self.continued is not None and (is_new or self.continued.saved.pieces):
-            self._earlier = EarlierDrives(
-                self.continued, self.configuration, self._threads, is_new_drive=is_new, floor=self._floor
-            )
+            self._earlier = EarlierDrives(self.continued, self.configuration, self._threads, is_new_drive=is_new)
 
     def _attach(self, report: StepReport, state: GridFastSlamState, seconds: float) -> None:
         """Let the filter look for the robot in what earlier drives have left, once that is at hand."""

@@ -39,7 +39,6 @@ class SessionEnd(Enum):
     """Why a session ends."""
 
     RESET = "reset"
-    SESSION = "another session"
     JUMP = "time jumped back, and the robot is elsewhere"
     CARRIED = "the robot was carried, and is looked for in the map so far"
     CLOSED = "closed"
@@ -160,12 +159,10 @@ class MeasurementQueue:
             self._drop_old(arrived_s)
             self._changed.notify()
 
-    def add_transforms(
-        self, transforms: Sequence[StampedTransform], *, static: bool = False, publisher: str = ""
-    ) -> None:
+    def add_transforms(self, transforms: Sequence[StampedTransform], *, static: bool = False) -> None:
         """Add transforms; never blocks."""
         with self._changed:
-            self._transforms.add(transforms, static=static, publisher=publisher)
+            self._transforms.add(transforms, static=static)
             if self._scans:
                 self._changed.notify()
 

@@ -5,8 +5,9 @@ Source: the public documentation of the ROS package gmapping, http://wiki.ros.or
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
-from dataclasses import dataclass, field, fields, replace
+from dataclasses import dataclass, field, fields
 from pathlib import Path
 from typing import Annotated, Any, Final, Literal, TypeAlias, final
 
@@ -16,13 +17,13 @@ from pydantic.dataclasses import dataclass as parameters
 from gridslam.api.amcl import AMCL_NAMES, from_amcl, override_configuration
 from gridslam.api.localization import known_map
 from gridslam.config import Configuration, load, override, preset
-from gridslam.config.tables import describe_error, names, nest, replace_parameters, suggest_names, value_of
+from gridslam.config.tables import describe_error, names, nest, replace_parameters, suggest_names
 from gridslam.errors import ArgumentError, ConfigurationError
 from gridslam.io.ros_parameters import flatten_parameters
+from gridslam.ros.node.continued import Continued
 from gridslam.ros.node.foreign_parameters import FOREIGN_NAMES, translate_parameters
-from gridslam.ros.node.live_autosave import SessionFiles
+from gridslam.ros.node.live_autosave import AUTOSAVE, SessionFiles
 from gridslam.ros.node.session import Localization
-from gridslam.ros.node.session_parameters import SESSION_DEFAULTS, read_session_files
 
 _GROWS, _NOT_SAMPLED = "the map grows by itself", "the likelihood around a match is not sampled"
 _GMAPPING: Final[tuple[tuple[str, float | int | str, str, str], ...]] = (
@@ -72,28 +73,25 @@ _OWN: Final[tuple[tuple[str, float | int | str | bool, str], ...]] = (
     ("seed", 0, "seed"),
     ("threads", 1, "threads"),
     ("odometry", "needed", "odometry"),
-    ("map_values", "trinary", "map_values"),
     ("transform_wait", 0.5, "transform_wait_s"),
     ("extrapolate", 0.15, "extrapolate_s"),
     ("extrapolate_after", 0.03, "extrapolate_after_s"),
     ("queue", 0.75, "queue_s"),
     ("record", "", ""),
     ("out", "", ""),
-    ("mode", "mapping", ""),
+    ("save", "", ""),
+    ("continue", "", ""),
+    ("autosave", 5.0, ""),
     ("map_file", "", ""),
-    ("scan_topic", "scan", ""),
-    ("paused_new_measurements", False, ""),
+    ("scan_topic", "scan", "scan_topic"),
     ("tf_broadcast", True, ""),
 )
-"""The node's own parameters, but for those of sessions: name, default, and the field of `NodeSettings` that it is."""
+"""The node's own parameters: name, default, and the field of `NodeSettings` that it is."""
 
 GMAPPING_DEFAULTS: Final[Mapping[str, float | int | str]] = {name: default for name, default, _, _ in _GMAPPING}
 """slam_gmapping's parameters and defaults; `maxRange` defaults to the laser's, `tf_delay` to the publish period."""
 
-NODE_DEFAULTS: Final[Mapping[str, float | int | str | bool]] = {
-    **{name: default for name, default, _ in _OWN},
-    **SESSION_DEFAULTS,
-}
+NODE_DEFAULTS: Final[Mapping[str, float | int | str | bool]] = {name: default for name, default, _ in _OWN}
 """The node's own parameters and defaults: see docs/ros.md."""
 
 _DERIVED: Final[Mapping[str, tuple[str, ...]]] = {
@@ -138,6 +136,8 @@ class NodeSettings:
 
     Parameters
     ----------
+    scan_topic : str
+        Topic of the scans.
     base_frame, odom_frame, map_frame : str
         Frames of the robot, its odometry and the map.
     odometry : str
@@ -161,14 +161,13 @@ class NodeSettings:
         that is too slow is never further behind, and one that pauses loses no scan. Transforms are kept for 10 s.
     jump_s : float, s
         Time has jumped back if two scans in a row are stamped this much before the last one.
-    map_values : str
-        "trinary": 0, 100 and -1 as in map.pgm; "probability": 0 to 100 in per cent, -1 where unknown.
     min_beams, max_beams : int
         Scans with fewer or more beams are refused.
     seed, threads : int
         As in `map_log`: the generator is re-seeded for each session; the threads do not affect results.
     """
 
+    scan_topic: str = Field(default="scan", min_length=1)
     base_frame: Frame = "base_link"
     odom_frame: Frame = "odom"
     map_frame: Frame = "map"
@@ -184,7 +183,6 @@ class NodeSettings:
     catch_up_s: float = Field(default=8.0, ge=0)
     queue_scans: int = Field(default=1000, ge=1)
     jump_s: float = Field(default=1.0, gt=0)
-    map_values: Literal["trinary", "probability"] = "trinary"
     min_beams: int = Field(default=10, ge=1)
     max_beams: int = Field(default=100_000, ge=1)
     seed: int = Field(default=0, ge=0)
@@ -220,8 +218,6 @@ class NodeParameters:
         The ignored parameters with the reasons; empty if there are none.
     record, out : Path or None
         File for the accepted scans, and output folder.
-    values : dict
-        The parameters by their ROS names: those that have an effect, and all others that were given.
     files : SessionFiles
         What the first mapping session goes on from, and where it is saved.
     """
@@ -231,7 +227,6 @@ class NodeParameters:
     warning: str
     record: Path | None
     out: Path | None
-    values: Mapping[str, Any] = field(default_factory=dict)
     files: SessionFiles = field(default_factory=SessionFiles)
 
 
@@ -256,12 +251,9 @@ def node_parameters(given: Mapping[str, Any], preset_name: str = "gmapping") -> 
     InputError
         The file of the map or of the configuration cannot be read.
     """
-    original = flatten_parameters(given)
-    given, spelled, foreign = translate_parameters(original)
+    given, spelled, foreign = translate_parameters(flatten_parameters(given))
     try:
-        found = _node_parameters(given, foreign, preset_name)
-        same = {spelled[name]: value for name, value in found.values.items() if name in spelled}
-        return replace(found, values={**original, **found.values, **same})
+        return _node_parameters(given, foreign, preset_name)
     except ConfigurationError as error:
         name, mark, problem = str(error).partition(": ")
         if name not in spelled:
@@ -272,50 +264,38 @@ def node_parameters(given: Mapping[str, Any], preset_name: str = "gmapping") -> 
 def _node_parameters(given: Mapping[str, Any], foreign: Mapping[str, str], preset_name: str) -> NodeParameters:
     """Convert parameters; `foreign` are those of other nodes that are ignored, with the reasons."""
     values = {**NODE_DEFAULTS, **{name: value for name, value in given.items() if name in NODE_DEFAULTS}}
-    localizes = values["mode"] == "localization"
-    if not localizes and values["mode"] != "mapping":
-        raise ConfigurationError(f"mode: expected mapping or localization, got {values['mode']!r}")
-    if values["map_file"] and not localizes:
-        raise ConfigurationError("map_file: requires the mode localization")
     given = {name: _as_roscpp(name, value) for name, value in given.items()}
     configuration: Configuration | Localization
-    if localizes:
+    files = SessionFiles()
+    record, out = (Path(str(values[name])) if values[name] else None for name in ("record", "out"))
+    if values["map_file"]:
+        out = None
         configuration, reasons = _read_localization(given)
         given = {_AMCL_NODE.get(name, name): value for name, value in given.items()}
     else:
         configuration, reasons = _read_mapping(given, str(values["preset"]) or preset_name)
-    record = Path(str(values["record"])) if values["record"] else None
-    out = Path(str(values["out"])) if values["out"] and not localizes else None
-    _check_node_values(values)
-    files = SessionFiles()
-    if not localizes:
-        files = read_session_files(values, out, int(given.get("threads", 1)))
+        files = _read_session_files(values, out, int(given.get("threads", 1)))
     if files.continued is not None:
         configuration = files.continued.saved.configuration
         own = "the session's own configuration is used"
         reasons |= {name: own for name in given if name in (*_PATHS, "preset", "config", "set", "seed")}
+    if not isinstance(values["tf_broadcast"], bool):
+        raise ConfigurationError(f"tf_broadcast: expected true or false, got {values['tf_broadcast']!r}")
     if not values["tf_broadcast"]:
         given["transform_publish_period"] = 0.0
     warning = _group_by_reason({**reasons, **foreign})
-    settings = _read_settings(given)
-    effective = {**values, **{name: getattr(settings, attribute) for name, attribute in _NODE.items()}}
-    if isinstance(configuration, Configuration):
-        effective["preset"] = values["preset"] or preset_name
-        there = set(names(configuration))
-        effective |= {name: value_of(configuration, path) for name, path in _FILTER.items() if path in there}
-    else:
-        effective |= {name: value for name, value in given.items() if name in AMCL_NAMES}
-    return NodeParameters(settings, configuration, warning, record, out, effective, files)
+    return NodeParameters(_read_settings(given), configuration, warning, record, out, files)
 
 
-def _check_node_values(values: Mapping[str, Any]) -> None:
-    """Check the node's own parameters that are no settings."""
-    for name in ("paused_new_measurements", "tf_broadcast"):
-        if not isinstance(values[name], bool):
-            raise ConfigurationError(f"{name}: expected true or false, got {values[name]!r}")
-    topic = values["scan_topic"]
-    if not (isinstance(topic, str) and topic):
-        raise ConfigurationError(f"scan_topic: expected the name of a topic, got {topic!r}")
+def _read_session_files(values: Mapping[str, Any], out: Path | None, threads: int) -> SessionFiles:
+    """Read the session that the node goes on from, and where it saves its own."""
+    minutes = values["autosave"]
+    if isinstance(minutes, bool) or not isinstance(minutes, int | float) or not 0 <= minutes < math.inf:
+        raise ConfigurationError(f"autosave: expected a number of minutes, 0 for none, got {minutes!r}")
+    continued = Continued.read(str(values["continue"]), threads) if values["continue"] else None
+    save = Path(str(values["save"])) if values["save"] else None
+    autosave = save if out is None else out / AUTOSAVE
+    return SessionFiles(continued, save, autosave if minutes else None, 60.0 * minutes)
 
 
 def _read_mapping(given: Mapping[str, Any], preset_name: str) -> tuple[Configuration, dict[str, str]]:
@@ -346,8 +326,6 @@ def _read_mapping(given: Mapping[str, Any], preset_name: str) -> tuple[Configura
 
 def _read_localization(given: Mapping[str, Any]) -> tuple[Localization, dict[str, str]]:
     """Return the localization, and why given parameters have no effect: AMCL's hold instead of slam_gmapping's."""
-    if not given.get("map_file"):
-        raise ConfigurationError("map_file: expected the YAML file of the known map, got none")
     amcl = from_amcl({name: value for name, value in given.items() if name in AMCL_NAMES})
     changed = override_configuration(amcl.configuration, _assignments(given))
     source = changed if changed.pose is not None else amcl
@@ -361,7 +339,7 @@ def _read_localization(given: Mapping[str, Any]) -> tuple[Localization, dict[str
     ignored = [name for name in (*amcl.ignored, *changed.ignored) if name not in (*_AMCL_NODE, *NODE_DEFAULTS)]
     reasons = dict.fromkeys(ignored, "it has no equivalent")
     for name in given:
-        if name in (*_PATHS, *_UNSUPPORTED, *SESSION_DEFAULTS, "preset", "config", "out"):
+        if name in (*_PATHS, *_UNSUPPORTED, "preset", "config", "out", "save", "continue", "autosave"):
             reasons[name] = "the node localizes and builds no map"
         elif name not in (*_NODE, *NODE_DEFAULTS, *AMCL_NAMES):
             reasons[name] = f"there is no such parameter{suggest_names(name, [*AMCL_NAMES, *_NODE, *NODE_DEFAULTS])}"

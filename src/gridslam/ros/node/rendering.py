@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping
 from concurrent.futures import Future, ThreadPoolExecutor, wait
-from typing import Any, Literal, final
+from typing import Any, final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,30 +20,18 @@ from gridslam.types import OccupancyGrid
 _PATIENCE_S = 10.0  # with a subscriber of the map that is slow
 
 
-def map_cells(grid: OccupancyGrid, values: Literal["trinary", "probability"]) -> NDArray[np.int8]:
-    """Return the cells (H, W) of nav_msgs/OccupancyGrid.
-
-    Parameters
-    ----------
-    grid : OccupancyGrid
-        The map.
-    values : str
-        "trinary": 100 above probability 0.65, 0 below 0.196 and -1 between, as in `write_map`;
-        "probability": in per cent, -1 where unknown.
-    """
+def map_cells(grid: OccupancyGrid) -> NDArray[np.int8]:
+    """Return the cells (H, W) of nav_msgs/OccupancyGrid, as `write_map`: 100 above probability 0.65, 0 below 0.196."""
     cells = np.full(grid.known.shape, -1, np.int8)
-    if values == "trinary":
-        cells[grid.known & (grid.log_odds > math.log(OCCUPIED_THRESH / (1 - OCCUPIED_THRESH)))] = 100
-        cells[grid.known & (grid.log_odds < math.log(FREE_THRESH / (1 - FREE_THRESH)))] = 0
-    else:
-        cells[grid.known] = np.rint(100 * grid.probability[grid.known])
+    cells[grid.known & (grid.log_odds > math.log(OCCUPIED_THRESH / (1 - OCCUPIED_THRESH)))] = 100
+    cells[grid.known & (grid.log_odds < math.log(FREE_THRESH / (1 - FREE_THRESH)))] = 0
     return cells
 
 
 def make_grid_message(grid: OccupancyGrid, settings: NodeSettings, stamp_ns: int) -> GridMessage:
     """Return the message of a map."""
     x, y = (float(value) for value in grid.origin)
-    return GridMessage(stamp_ns, settings.map_frame, grid.resolution_m, (x, y), map_cells(grid, settings.map_values))
+    return GridMessage(stamp_ns, settings.map_frame, grid.resolution_m, (x, y), map_cells(grid))
 
 
 @final

@@ -2,33 +2,31 @@
 
 from __future__ import annotations
 
+import math
 import os
 import threading
 from collections.abc import Callable
-from contextlib import suppress
 from functools import partial
 from itertools import count
 from pathlib import Path
 from typing import Any, final
 
+import numpy as np
+
 from gridslam.api.mapping import MapResult
-from gridslam.errors import ArgumentError, ConfigurationError, GridslamError
+from gridslam.errors import ArgumentError, GridslamError, OutputError
 from gridslam.io.bags.ros_messages import MessageError, Wire, decode_scan, decode_transforms
 from gridslam.io.output import OutputFolder
 from gridslam.pipeline import describe_error
 from gridslam.ros.node.core import NodeCore
-from gridslam.ros.node.grid_input import covariance_of, pose_of
 from gridslam.ros.node.live_autosave import keep_other
 from gridslam.ros.node.mapping_session import SessionCopy
-from gridslam.ros.node.messages import Level
+from gridslam.ros.node.messages import PLANAR, Level
 from gridslam.ros.node.outputs import grid_values
 from gridslam.ros.node.parameters import NodeParameters
-from gridslam.ros.node.session_services import SessionServices
-from gridslam.ros.node.transport import ALL_TOPICS, TOPICS, RunOptions, Serve, Transport
+from gridslam.ros.node.transport import ALL_TOPICS, TOPICS, RunOptions, Transport
 
 _POSE = TOPICS["~/pose"]
-_PAUSED = "paused_new_measurements"
-_SAVE_AS = "save_as"
 _SCANS_DEPTH, _TRANSFORMS_DEPTH = 500, 2500  # what a pause of some seconds may hold up
 
 
@@ -56,8 +54,6 @@ class RosNode:
         self._transport = transport
         self._out = parameters.out
         self._files = parameters.files
-        self._scan_topic = str(parameters.values["scan_topic"])
-        self._values = parameters.values
         self._saving: list[threading.Thread] = []
         self._saved: set[Path] = set()
         self.core = NodeCore(
@@ -71,10 +67,6 @@ class RosNode:
         self._log = self.core.messages.report
         if self._out is not None:
             self.core.results_folder = self._out
-        self._services = SessionServices(self.core, self.core.results_folder, self._log)
-        self._services.save_as = str(parameters.values.get(_SAVE_AS, ""))
-        if parameters.values[_PAUSED]:
-            self.core.pause(True)
         topics = ALL_TOPICS if self.core.localizes else TOPICS
         transport.connect(self.core.refuse_message, {**topics})
         if parameters.warning:
@@ -85,15 +77,16 @@ class RosNode:
         core = self.core
         core.start()
         self._advertise_services()
-        scans, decode = self._transport.resolve(self._scan_topic), self._transport.encoder.decode
+        settings = core.settings
+        scans, decode = self._transport.resolve(settings.scan_topic), self._transport.encoder.decode
 
-        def on_transforms(data: bytes, wire: Wire, publisher: str, static: bool = False) -> None:
-            core.on_transforms(decode_transforms(data, wire), static=static, publisher=publisher)
+        def on_transforms(data: bytes, wire: Wire, static: bool = False) -> None:
+            core.on_transforms(decode_transforms(data, wire), static=static)
 
-        def on_scan(data: bytes, wire: Wire, publisher: str) -> None:
+        def on_scan(data: bytes, wire: Wire) -> None:
             core.on_scan(decode_scan(data, wire), scans)
 
-        def on_pose(data: bytes, wire: Wire, publisher: str) -> None:
+        def on_pose(data: bytes, wire: Wire) -> None:
             set_pose_from_message(core, decode(_POSE, data))
 
         if core.localizes:
@@ -101,8 +94,7 @@ class RosNode:
         on_static_transforms = partial(on_transforms, static=True)
         self._subscribe("/tf_static", "tf2_msgs/TFMessage", on_static_transforms, latched=True, depth=100)
         self._subscribe("/tf", "tf2_msgs/TFMessage", on_transforms, depth=_TRANSFORMS_DEPTH)
-        self._subscribe(self._scan_topic, "sensor_msgs/LaserScan", on_scan, reliable=False, depth=_SCANS_DEPTH)
-        settings = core.settings
+        self._subscribe(settings.scan_topic, "sensor_msgs/LaserScan", on_scan, reliable=False, depth=_SCANS_DEPTH)
         frames = "" if settings.odometry == "none" else f"for {settings.base_frame} in {settings.odom_frame}"
         core.await_input(scans, frames)
 
@@ -184,31 +176,25 @@ class RosNode:
             core.pause(request.data)
             return True, "paused" if request.data else "mapping"
 
-        transport.advertise_parameters(self._values, self._change_parameter, (_PAUSED, _SAVE_AS))
         transport.advertise("dynamic_map", "nav_msgs/GetMap", self._give_map, slow=True)
-        taken = self._advertise_slam_toolbox()
-        own: dict[str, tuple[str, Serve, bool]] = {
-            "~/reset": ("std_srvs/Empty", reset, False),
-            "~/pause": ("std_srvs/SetBool", pause, False),
-            **{name: (kind, serve, True) for name, (kind, serve) in self._services.standard().items()},
-        }
+        transport.advertise("~/save", "std_srvs/Trigger", self._save, slow=True)
+        transport.advertise("~/pause", "std_srvs/SetBool", pause)
+        transport.advertise("~/reset", "std_srvs/Empty", reset)
         if core.localizes:
-            own |= {
-                transport.global_localization: ("std_srvs/Empty", reset, False),
-                "request_nomotion_update": ("std_srvs/Empty", lambda request: core.update_once(), False),
-            }
-        for name, (kind, serve, slow) in own.items():
-            if transport.resolve(name) not in taken:
-                transport.advertise(name, kind, serve, slow=slow)
+            transport.advertise(transport.global_localization, "std_srvs/Empty", reset)
 
-    def _advertise_slam_toolbox(self) -> set[str]:
-        """Offer slam_toolbox's services where its types are known; returns their full names."""
-        offered = set()
-        for name, (kind, serve) in self._services.of_slam_toolbox().items():
-            with suppress(ConfigurationError):  # ROS is there, but not the package
-                self._transport.advertise(name, kind, serve, slow=True)
-                offered.add(self._transport.resolve(name))
-        return offered
+    def _save(self, request: Any) -> tuple[bool, str]:  # noqa: ANN401
+        """Write what `gridslam map` writes, while mapping goes on; give whether it succeeded, and a message."""
+        folder = self.core.results_folder
+        try:
+            document = self.core.save(folder)
+        except GridslamError as error:
+            level = Level.ERROR if isinstance(error, OutputError) else Level.WARN
+            self._log(level, f"request failed: {error}")
+            return False, str(error)
+        done = f"results of {document['scans']['read']} scans saved: {folder.resolve()}"
+        self._log(Level.OK, done)
+        return True, done
 
     def _give_map(self, request: Any) -> bytes:  # noqa: ANN401
         """Give the response with the map that was published last; raises GridslamError without one."""
@@ -218,24 +204,13 @@ class RosNode:
         encoder = self._transport.encoder
         return encoder.encode(TOPICS["map"], *grid_values(encoder, "dynamic_map", latest))
 
-    def _change_parameter(self, name: str, value: Any) -> str:  # noqa: ANN401
-        """Set a parameter while the node runs."""
-        if name == _SAVE_AS:
-            if not isinstance(value, str):
-                return f"{name}: expected the name of a file, got {value!r}"
-            self._services.save_as = value
-        else:
-            assert name == _PAUSED
-            self.core.pause(bool(value))
-        return ""
-
-    def _subscribe(self, topic: str, kind: str, handle: Callable[[bytes, Wire, str], None], **qos: Any) -> None:  # noqa: ANN401
+    def _subscribe(self, topic: str, kind: str, handle: Callable[[bytes, Wire], None], **qos: Any) -> None:  # noqa: ANN401
         """Subscribe, and warn of bytes that are not a valid message."""
         name = self._transport.resolve(topic)
 
-        def on_message(data: bytes, publisher: str) -> None:
+        def on_message(data: bytes) -> None:
             try:
-                handle(data, self._transport.wire_of(data), publisher)
+                handle(data, self._transport.wire_of(data))
             except Exception as error:  # the transport's thread goes on, whatever the bytes were
                 problem = str(error) if isinstance(error, MessageError) else describe_error(error)
                 self.core.refuse_message("message", f"{name}: {problem}")
@@ -251,7 +226,10 @@ def set_pose_from_message(core: NodeCore, message: Any) -> None:  # noqa: ANN401
     frame = message.header.frame_id
     if frame != core.settings.map_frame:
         raise MessageError(f"expected a pose in the frame {core.settings.map_frame}, got {frame!r}")
+    place, turn = message.pose.pose.position, message.pose.pose.orientation
+    yaw = math.atan2(2 * (turn.w * turn.z + turn.x * turn.y), 1 - 2 * (turn.y**2 + turn.z**2))
+    covariance = np.asarray(message.pose.covariance, np.float64).reshape(6, 6)[PLANAR]
     try:
-        core.set_pose((pose_of(message.pose.pose), covariance_of(message.pose)))
+        core.set_pose((np.array([place.x, place.y, yaw]), covariance))
     except ArgumentError as error:
         raise MessageError(str(error)) from None

@@ -71,11 +71,6 @@ class LocalizationSession:
         self.init = self._mcl.init
         self.state = self._make_state(localization.initial_pose)
         self._next_state: MonteCarloState | None = None
-        self._updates_always = False
-
-    def update_once(self) -> None:
-        """Update the particles at the next scan, even if the robot does not move."""
-        self._updates_always = True
 
     def set_pose(self, pose: InitialPose) -> None:
         """Set the pose from the next scan on; None: the pose is unknown."""
@@ -90,9 +85,8 @@ class LocalizationSession:
     ) -> tuple[MonteCarloState, LocalizationReport]:
         """Process a measurement, from the pose that was set since the last scan if there is one."""
         begin = state if self._next_state is None else self._next_state.snapshot()
-        self.state, report = self._mcl.step(begin, odometry, scan, rng, always=self._updates_always)
+        self.state, report = self._mcl.step(begin, odometry, scan, rng)
         self._next_state = None
-        self._updates_always = self._updates_always and report.log_weights is None
         return self.state, report
 
     def _make_state(self, pose: InitialPose) -> MonteCarloState:

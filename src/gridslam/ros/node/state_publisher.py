@@ -68,7 +68,7 @@ class StatePublisher:
     ) -> None:
         self._settings = settings
         self._outputs = outputs
-        self.renderer = renderer
+        self._renderer = renderer
         self._queue = queue
         self._messages = messages
         self._lock = threading.Lock()  # the filter's thread and the timer both publish the transform
@@ -142,7 +142,7 @@ class StatePublisher:
 
     def publish_map(self, state: Any) -> None:  # noqa: ANN401
         """Render and publish the map if it is new and no other map is being rendered; call from the filter's thread."""
-        renderer = self.renderer
+        renderer = self._renderer
         report = self._report
         is_mapped = isinstance(state, GridFastSlamState)  # else the map is known
         if renderer is None or not is_mapped or report is None or report is self._mapped_report:
@@ -183,18 +183,16 @@ class StatePublisher:
         self._stamp_ns = stamp_ns if was_set_back else max(stamp_ns, last_ns + _APART_NS)
         return self._stamp_ns
 
-    def drop_own_transforms(
-        self, transforms: Sequence[StampedTransform], publisher: str = ""
-    ) -> Sequence[StampedTransform]:
+    def drop_own_transforms(self, transforms: Sequence[StampedTransform]) -> Sequence[StampedTransform]:
         """Remove the transforms of this node; warn of one from elsewhere with the same child."""
         child = self._child
         if not self._settings.transform_publish_period_s or all(one.child != child for one in transforms):
             return transforms
         for transform in transforms:
             if transform.child == child and transform not in self._own_transforms:
-                reported = f"{publisher or 'it'} publishes {child} in {transform.parent}, and this node publishes it in"
+                two = f"it publishes {child} in {transform.parent}, and this node publishes it in"
                 end = "end one of them (a localization, or the bag itself)"
-                self._messages("transform of another node", f"{reported} {self._settings.map_frame}: {end}")
+                self._messages("transform of another node", f"{two} {self._settings.map_frame}: {end}")
         return [one for one in transforms if (one.parent, one.child) != (self._settings.map_frame, child)]
 
     def diagnostics(self) -> Diagnostics:

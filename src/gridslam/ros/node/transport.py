@@ -40,8 +40,8 @@ LATCHED: Final = ("map", "map_metadata", "~/entropy", "amcl_pose")
 POLL_S: Final = 0.2
 """Time between two looks at what may end a node, s."""
 
-Handler: TypeAlias = Callable[[bytes, str], None]
-"""Called with the bytes of a message, and the name of its publisher if known."""
+Handler: TypeAlias = Callable[[bytes], None]
+"""Called with the bytes of a message."""
 
 Serve: TypeAlias = Callable[[Any], Sequence[Any] | bytes | None]
 """Called with a request; returns the values of the response's fields in their order, or the bytes of all of them."""
@@ -123,15 +123,7 @@ class Transport(Protocol):
         """Subscribe to the messages of a type; `latched`: also to the last one of a publisher that was there before."""
 
     def advertise(self, service: str, kind: str, serve: Serve, *, slow: bool = False) -> None:
-        """Offer a service, of which a slow one must not delay scans.
-
-        Raises ConfigurationError if its type is not installed.
-        """
-
-    def advertise_parameters(
-        self, values: Mapping[str, Any], change: Callable[[str, Any], str], settable: Sequence[str]
-    ) -> None:
-        """Offer the parameters where ROS does not: `change` sets one of those that are settable, or returns why not."""
+        """Offer a service, of which a slow one must not delay scans."""
 
     def spin(self, ended: threading.Event) -> Iterator[None]:
         """Deliver messages until the transport is shut down or the event is set; yields several times a second."""

@@ -43,7 +43,6 @@ class Ros1Transport:
         self._rospy = _import("rospy")
         self.encoder = MessageEncoder(is_ros1=True)
         self._publishers: dict[str, Any] = {}
-        self._settable: dict[str, Any] = {}
         name = self._rospy.get_name().lstrip("/")
         self.outputs: Outputs = EncodedOutputs(self.encoder, self._publish, self._now_ns, self._log, name)
 
@@ -72,7 +71,7 @@ class Ros1Transport:
         def on_message(message: Any) -> None:  # noqa: ANN401
             header = message._connection_header
             if header["type"] == kind or (kind_of(kind) and kind_of(header["type"]) == kind_of(kind)):
-                handle(message._buff, header.get("callerid", ""))
+                handle(message._buff)
             else:
                 self._refuse("message", f"expected {kind} on {header['topic']}, got {header['type']}")
 
@@ -85,7 +84,6 @@ class Ros1Transport:
         make: Any = service_class._response_class
 
         def answer(request: Any) -> Any:  # noqa: ANN401
-            self._read_parameters()
             try:
                 answered = serve(request)
             except GridslamError as error:
@@ -93,23 +91,6 @@ class Ros1Transport:
             return make().deserialize(answered) if isinstance(answered, bytes) else make(*answered or ())
 
         self._rospy.Service(_name(service), service_class, answer)
-
-    def advertise_parameters(
-        self, values: Mapping[str, Any], change: Callable[[str, Any], str], settable: Sequence[str]
-    ) -> None:
-        """Have them read when a service is asked for: ROS itself serves them, and reports no change."""
-        self._settable = {name: values[name] for name in settable if name in values}
-        self._change = change
-
-    def _read_parameters(self) -> None:
-        """Take over parameters that were set since the last look."""
-        for name, before in self._settable.items():
-            value = self._rospy.get_param(f"~{name}", before)
-            if value != before:
-                self._settable[name] = value
-                problem = self._change(name, value)
-                if problem:
-                    self._log(Level.WARN, problem)
 
     def spin(self, ended: threading.Event) -> Iterator[None]:
         """Wait until ROS is shut down or the event is set; rospy delivers messages in threads of its own."""

@@ -72,10 +72,10 @@ class RclpyTransport:
     def subscribe(
         self, topic: str, kind: str, handle: Handler, *, reliable: bool = True, latched: bool = False, depth: int = 10
     ) -> None:
-        """Subscribe to the bytes of messages; rclpy does not name their publisher."""
+        """Subscribe to the bytes of messages."""
         profile = self._profile(reliable=reliable, latched=latched, depth=depth)
         options = {"raw": True, "qos_overriding_options": self._overrides}
-        self._node.create_subscription(_import(kind), topic, lambda data: handle(data, ""), profile, **options)
+        self._node.create_subscription(_import(kind), topic, handle, profile, **options)
 
     def advertise(self, service: str, kind: str, serve: Serve, *, slow: bool = False) -> None:
         """Offer a service.
@@ -108,26 +108,6 @@ class RclpyTransport:
 
         if slow:
             offered.send_response = start
-
-    def advertise_parameters(
-        self, values: Mapping[str, Any], change: Callable[[str, Any], str], settable: Sequence[str]
-    ) -> None:
-        """Declare the parameters, of which rclpy lets those be set that are settable."""
-        messages = _import("rcl_interfaces.msg")
-        for name, value in values.items():
-            if self._node.has_parameter(name):
-                self._node.undeclare_parameter(name)
-            read_only = name not in settable
-            why = "read when the node starts" if read_only else ""
-            descriptor = messages.ParameterDescriptor(read_only=read_only, additional_constraints=why)
-            self._node.declare_parameter(name, value, descriptor, ignore_override=True)
-
-        def set_all(parameters: Sequence[Any]) -> Any:  # noqa: ANN401
-            changes = [change(one.name, one.value) for one in parameters if one.name in settable]
-            problems = "; ".join(filter(None, changes))
-            return messages.SetParametersResult(successful=not problems, reason=problems)
-
-        self._node.add_on_set_parameters_callback(set_all)
 
     def spin(self, ended: threading.Event) -> Iterator[None]:
         """Deliver messages until ROS is shut down or the event is set."""
@@ -211,6 +191,13 @@ def _read_parameters(node: Any) -> dict[str, Any]:  # noqa: ANN401
     return {name: one.value for name, one in there if name not in _ROS_S and not name.startswith("qos_overrides.")}
 
 
+def _refuse_changes(parameters: Sequence[Any]) -> Any:  # noqa: ANN401
+    """Let no parameters be set but those of rclpy: the others are read when the node starts."""
+    refused = ", ".join(one.name for one in parameters if one.name not in _ROS_S)
+    reason = f"{refused}: read when the node starts" if refused else ""
+    return _import("rcl_interfaces.msg").SetParametersResult(successful=not refused, reason=reason)
+
+
 def _init_rclpy(rclpy: Any, arguments: list[str]) -> None:  # noqa: ANN401
     """Initialize rclpy, whose signal handlers would end it before the last map is published."""
     unknown = _import("rclpy.utilities").remove_ros_args(arguments)[1:]
@@ -237,6 +224,7 @@ def run_rclpy(arguments: Sequence[str] = (), options: RunOptions = NO_OPTIONS) -
     _init_rclpy(_import("rclpy"), ["gridslam", *arguments])
     node = _import("rclpy.node").Node(NODE_NAME, automatically_declare_parameters_from_overrides=True)
     parameters = node_parameters({**_read_parameters(node), **options.given}, "default")
+    node.add_on_set_parameters_callback(_refuse_changes)
     transport = RclpyTransport(node)
     for sentence in find_foreign_files(arguments, node.get_fully_qualified_name()):
         transport.outputs.log(Level.WARN, sentence)

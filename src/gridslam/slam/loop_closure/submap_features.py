@@ -8,7 +8,6 @@ from typing import NamedTuple, final
 import numpy as np
 from numpy.typing import NDArray
 
-from gridslam.kernels import backend
 from gridslam.types import FloatArray, IntArray
 
 _CELL_M = 0.2
@@ -112,7 +111,7 @@ def match_features(old: SubmapFeatures, new: SubmapFeatures) -> IntArray:
     """Match keypoints whose descriptors are each other's nearest: pairs (M, 2) of keypoints of both, best first."""
     if not (len(old) and len(new)):
         return np.empty((0, 2), np.int64)
-    different = backend.hamming_distances(old.descriptors, new.descriptors)
+    different = _count_different_bits(old.descriptors, new.descriptors)
     nearest = different.argmin(axis=1)
     is_mutual = different.argmin(axis=0)[nearest] == np.arange(len(old))
     bits = different[np.arange(len(old)), nearest]
@@ -125,12 +124,18 @@ def match_nearest_features(old: SubmapFeatures, new: SubmapFeatures, count: int)
     """Match each new keypoint with the `count` old ones of the nearest descriptors: pairs (M, 2), best first."""
     if not (len(old) and len(new)):
         return np.empty((0, 2), np.int64)
-    different = backend.hamming_distances(new.descriptors, old.descriptors)
+    different = _count_different_bits(new.descriptors, old.descriptors)
     nearest = np.argsort(different, axis=1, kind="stable")[:, :count]
     bits = np.take_along_axis(different, nearest, axis=1).ravel()
     pairs = np.stack([nearest.ravel(), np.repeat(np.arange(len(new)), nearest.shape[1])], axis=1)
     chosen = np.argsort(bits, kind="stable")[: min(_MOST_NEAREST, np.count_nonzero(bits < _MOST_ALIKE_BITS))]
     return pairs[chosen]
+
+
+def _count_different_bits(a: NDArray[np.uint64], b: NDArray[np.uint64]) -> NDArray[np.float32]:
+    """Count the bits (N, M) by which descriptors (N, W) and (M, W) differ: by products of +-1, which are exact."""
+    one, other = (2 * np.unpackbits(words.view(np.uint8), axis=1).astype(np.float32) - 1 for words in (a, b))
+    return np.asarray(0.5 * (one.shape[1] - one @ other.T), np.float32)
 
 
 def _find_corners(image: NDArray[np.float32], most: int) -> tuple[IntArray, IntArray]:
