@@ -10,7 +10,7 @@ import numpy as np
 
 from aliasing_worlds import BARE_CORRIDORS, EQUAL_ROOMS, SYMMETRIC, make_world
 from gridslam.errors import ArgumentError
-from gridslam.sim import LidarConfig, OdometryNoise, RobotConfig, SimulatedStream, World, simulate_stream
+from gridslam.sim import LidarConfig, OdometryNoise, RobotConfig, SimulatedLog, World, simulate
 from gridslam.types import FloatArray
 
 DECEPTIVE = ("equal_rooms", "symmetric", "bare_corridors", "moved_furniture")
@@ -31,10 +31,10 @@ class Drive:
     lidar: LidarConfig
     seed: int
 
-    def stream(self) -> SimulatedStream:
+    def stream(self) -> SimulatedLog:
         """Simulate it, from the start each time; the same bytes each time."""
         rng = np.random.default_rng([self.seed, 1])
-        return simulate_stream(self.world, self.robot, self.odometry, self.lidar, rng)
+        return simulate(self.world, self.robot, self.odometry, self.lidar, rng)
 
 
 def deceptive(kind: str, seed: int) -> Drive:

@@ -25,7 +25,7 @@ from gridslam.slam.landmarks.fastslam2 import FastSlam2
 from gridslam.slam.landmarks.filters import LandmarkFilters
 from gridslam.slam.landmarks.particles import LandmarkParticles
 from gridslam.types import FloatArray
-from report import show
+from report import Report, table
 
 _SENSOR, _MOTION = RangeBearing(sigma_range_m=0.1, sigma_bearing_rad=0.02), DiffusionMotion()
 _INCREMENT = np.array([0.05, 0.0, 0.01])
@@ -33,7 +33,7 @@ _SEEN = 2  # landmarks seen at a step
 _PARTS = 3
 
 
-def landmarks(data: Path, seeds: Sequence[int], steps: int = 100) -> None:
+def landmarks(report: Report, data: Path, seeds: Sequence[int], steps: int = 100) -> None:
     """Cost on a field of landmarks, then accuracy on MRCLAM where the data is there."""
     rows = []
     for particles, count in ((100, 100), (1000, 8), (1000, 100)):
@@ -41,18 +41,20 @@ def landmarks(data: Path, seeds: Sequence[int], steps: int = 100) -> None:
             for association in (KnownCorrespondence(), MaximumLikelihood()):
                 rate = _fastslam_rate(kind(LandmarkFilters(_SENSOR, association)), particles, count, steps)
                 rows.append([kind.__name__, type(association).__name__, particles, count, rate])
-    head = ["filter", "correspondences", "particles", "landmarks", "steps/s"]
-    show(f"FastSLAM: steps a second, {_SEEN} observations a step", head, rows)
+    report.add(
+        f"FastSLAM: steps a second, {_SEEN} observations a step",
+        table(["filter", "correspondences", "particles", "landmarks", "steps/s"], rows),
+    )
     copied = [[str(share), _resampling_ms(share)] for share in (0.1, 0.33, 0.9)]
-    show("Resampling 1000 particles of 100 landmarks", ["share of dead particles", "ms"], copied)
+    report.add("Resampling 1000 particles of 100 landmarks", table(["share of dead particles", "ms"], copied))
     ekf = [[count, _ekf_ms(count, steps)] for count in (15, 100, 500)]
-    show(f"EKF SLAM, {_SEEN} observations a step", ["landmarks", "ms/step"], ekf)
+    report.add(f"EKF SLAM, {_SEEN} observations a step", table(["landmarks", "ms/step"], ekf))
     for robot in (1, 3):
         log = data / "landmarks" / f"mrclam6_Robot{robot}_Odometry.dat.gz"
         if log.exists():
-            _mrclam(log, robot, seeds)
+            _mrclam(report, log, robot, seeds)
     if (park := data / "landmarks" / "victoria_park.txt.gz").exists():
-        _victoria_park(park, seeds)
+        _victoria_park(report, park, seeds)
 
 
 def _field(count: int) -> FloatArray:
@@ -106,7 +108,7 @@ def _ekf_ms(count: int, steps: int) -> float:
     return 1e3 * (time.perf_counter() - begin) / steps
 
 
-def _mrclam(log: Path, robot: int, seeds: Sequence[int]) -> None:
+def _mrclam(report: Report, log: Path, robot: int, seeds: Sequence[int]) -> None:
     """Errors with known correspondences, and landmarks found with unknown ones."""
     name, rows = f"MRCLAM 6, robot {robot}", []
     for method in METHODS:
@@ -117,14 +119,14 @@ def _mrclam(log: Path, robot: int, seeds: Sequence[int]) -> None:
         means = float(np.mean(poses)), float(np.mean(found))
         rows.append([method, runs[0].particles or "", means[0], max(poses), means[1], max(found), cost])
     head = ["method", "particles", "position RMSE m", "worst", "landmark RMSE m", "worst", "CPU s"]
-    show(f"{name}, known correspondences", head, rows)
+    report.add(f"{name}, known correspondences", table(head, rows))
     rows = []
     for method in METHODS[:3]:
         errors = [run.errors()[1] for run in _runs(log, method, seeds, unknown=True)]
         found_all = [e is not None and (e.missing, e.surplus) == (0, 0) for e in errors]
         counts = ["none" if e is None else f"{e.found}+{e.surplus}" for e in errors]
         rows.append([method, f"{sum(found_all)} of {len(counts)}", ", ".join(counts)])
-    show(f"{name}, unknown correspondences", ["method", "15 found, none doubled", "found + surplus"], rows)
+    report.add(f"{name}, unknown correspondences", table(["method", "15 found, none doubled", "found + surplus"], rows))
 
 
 def _runs(log: Path, method: LandmarkMethod, seeds: Sequence[int], unknown: bool = False) -> list[LandmarkResult]:
@@ -133,7 +135,7 @@ def _runs(log: Path, method: LandmarkMethod, seeds: Sequence[int], unknown: bool
     return [map_landmarks(log, method, seed=seed, unknown=unknown) for seed in seeds]
 
 
-def _victoria_park(log: Path, seeds: Sequence[int]) -> None:
+def _victoria_park(report: Report, log: Path, seeds: Sequence[int]) -> None:
     """How far the methods are from the graph, on average over the seeds, and the worst."""
     graph, rows = map_landmarks(log, "graph"), []
     for method in METHODS[:3]:
@@ -145,7 +147,7 @@ def _victoria_park(log: Path, seeds: Sequence[int]) -> None:
         means, worst = np.mean(apart, axis=0).tolist(), np.max(apart, axis=0).tolist()
         rows.append([method, run.particles or "", means[0], worst[0], means[1], worst[1]])
     head = ["method", "particles", "landmarks from the graph's m", "worst", "trajectory m", "worst"]
-    show("Victoria Park: medians", head, rows)
+    report.add("Victoria Park: medians", table(head, rows))
 
 
 def _median_apart(points: FloatArray, others: FloatArray) -> float:
@@ -166,4 +168,4 @@ if __name__ == "__main__":
     parser.add_argument("--data", type=Path, default=Path(__file__).resolve().parents[2] / "shared" / "data")
     parser.add_argument("--seeds", type=int, default=10, help="seeds 0, 1, ... of each method")
     given = parser.parse_args()
-    landmarks(given.data, range(given.seeds))
+    landmarks(Report(), given.data, range(given.seeds))
