@@ -156,9 +156,9 @@ def thin(beams: BeamEnds, side_m: float) -> BeamEnds:
     robot that drives backwards. Most beams end near the robot, and would outweigh the few that determine its place
     along a corridor.
     """
-    squares = np.floor(beams.ends / side_m)
-    is_first = np.append(True, (squares[1:] != squares[:-1]).any(axis=1))
-    return StoredScan(beams.ends[is_first], beams.origin)
+    x, y = np.floor(beams.ends / side_m).T
+    is_first = np.append(True, (x[1:] != x[:-1]) | (y[1:] != y[:-1]))
+    return StoredScan(beams.ends.compress(is_first, axis=0), beams.origin)
 
 
 def cauchy_weights(distances: NDArray[np.float32], scale_m: float) -> NDArray[np.float32]:

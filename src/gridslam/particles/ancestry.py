@@ -255,6 +255,6 @@ class Ancestry:
         past[:, : len(trunk)] = trunk
         for k in range(len(self._levels) - 1, -1, -1):
             poses, parents, _ = self._levels[k]
-            past[:, len(trunk) + k] = poses[places]
-            places = parents[places]
+            past[:, len(trunk) + k] = poses.take(places, axis=0)
+            places = parents.take(places)
         return past
