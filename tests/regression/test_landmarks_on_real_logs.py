@@ -53,7 +53,7 @@ def test_victoria_park(data_dir):
     landmarks, way = _apart(ekf, graph)
     assert landmarks < 1.3
     assert way < 1.3
-    # Four seeds: 2.3 to 5.3 m and 2.4 to 3.9 m, half their range added; 60 m without the calibration.
+    # Four seeds: 2.3 to 5.3 m and 2.4 to 3.9 m, half their range added; 14 to 21 m without the calibration.
     landmarks, way = _apart(particles, graph)
     assert landmarks < 6.8
     assert way < 4.7

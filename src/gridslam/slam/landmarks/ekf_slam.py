@@ -13,7 +13,6 @@ from typing import final
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from scipy.linalg import block_diag
 
 from gridslam.errors import ConsumedStateError
 from gridslam.geometry.angles import wrap
@@ -257,9 +256,9 @@ class EkfSlamState:
         """Begin at a pose (3,) that is exact, with errors of covariance (5, 5); ArgumentError where it is no pose."""
         mean = np.append(repeat_pose(1, pose)[0], np.zeros(ERRORS))
         nothing = np.empty(0, np.int64)
-        return cls(
-            mean, block_diag(np.zeros((3, 3)), errors), mean[:3].copy(), np.empty((0, 2)), nothing, np.empty(0), nothing
-        )
+        covariance = np.zeros((_ROBOT, _ROBOT))
+        covariance[3:, 3:] = errors
+        return cls(mean, covariance, mean[:3].copy(), np.empty((0, 2)), nothing, np.empty(0), nothing)
 
     @property
     def pose(self) -> FloatArray:
