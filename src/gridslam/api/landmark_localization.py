@@ -11,7 +11,7 @@ from typing import Any, ClassVar, final
 import numpy as np
 from numpy.typing import ArrayLike
 
-from gridslam.api.landmarks import MOTION, SENSORS, ResultByLandmarks, align_trajectory
+from gridslam.api.landmarks import COMMANDS, MOTION, SENSORS, ResultByLandmarks, align_trajectory
 from gridslam.api.result import write_trajectory
 from gridslam.checked import checked
 from gridslam.errors import ArgumentError, InputError
@@ -22,9 +22,9 @@ from gridslam.io.landmarks import read_landmarks
 from gridslam.io.output import OutputFolder
 from gridslam.io.text import compute_digest
 from gridslam.localization.ekf import EkfLocalization, EkfLocalizationReport, KnownLandmarks
-from gridslam.localization.systematic_errors import SystematicErrors
 from gridslam.models.association import KnownCorrespondence, MaximumLikelihood
 from gridslam.models.landmark import LandmarkModel, LandmarkStep
+from gridslam.models.systematic_errors import SystematicErrors
 from gridslam.pipeline import Stopwatch
 from gridslam.types import FloatArray, MotionModel, Trajectory
 from gridslam.viz import draw_landmarks
@@ -34,16 +34,6 @@ _COMPLETE_MAP_GATES = MaximumLikelihood(match_gate=100.0, new_gate=100.0)
 """In a complete map an observation far off indicates a wrong pose rather than a new landmark.
 
 On MRCLAM a gate of 3 standard deviations loses robot 3 where it sees nothing for 24 s; 5 to 10 do not.
-"""
-
-_COMMANDS = SystematicErrors(
-    sigma_per_m=0.05, sigma_per_rad=0.05, sigma_odometry_scale=0.05, sigma_mounting_m=0.05, sigma_range_scale=0.03
-)
-"""Systematic errors of a log without covariances: commands instead of odometry, and a camera instead of a laser.
-
-A controller holds the speed of a wheel to about a percent, and two wheels 0.26 m apart of which one is 1.3 % faster
-turn by 0.05 rad per metre; tread and tyres make the rest. A monocular camera's depths are as good as its focal
-length and the height of a printed mark: some percent.
 """
 
 _NEAR = np.diag([0.1**2, 0.1**2, 0.1**2])
@@ -200,7 +190,7 @@ def localize_by_landmarks(
     steps = list(source)
     watch.lap("read")
     has_noise = all(step.covariance is not None for step in steps)
-    bias = SystematicErrors() if has_noise else _COMMANDS
+    bias = SystematicErrors() if has_noise else COMMANDS
     ekf = EkfLocalization(known, model, association, bias)
     if pose is None:
         pose = _find_start(source, steps) if landmarks is None else np.zeros(3)

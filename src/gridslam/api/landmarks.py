@@ -38,7 +38,9 @@ from gridslam.models.landmark import (
     RelativePosition,
 )
 from gridslam.models.motion import DiffusionMotion
+from gridslam.models.systematic_errors import ERROR_NAMES, SystematicErrors
 from gridslam.pipeline import Stopwatch
+from gridslam.slam.landmarks.calibration import calibrate_odometry
 from gridslam.slam.landmarks.ekf_slam import EkfSlam
 from gridslam.slam.landmarks.fastslam1 import FastSlam1
 from gridslam.slam.landmarks.fastslam2 import FastSlam2
@@ -75,14 +77,21 @@ SENSORS: Final[dict[ObservationKind, LandmarkModel]] = {
 """Measurement model of each observation type."""
 
 MOTION: Final = DiffusionMotion(sigma_xy_m=0.05, sigma_theta_rad=0.08)
-"""Errors of MRCLAM's commands per metre or radian; logs with covariances do not need it."""
-
-_MEMORY = 4.0
-"""Factor on the covariances of a log's increments, for filters: these errors have a memory, which noise has not.
-
-In Victoria Park the headings err by two to three times what the file states, and without it FastSLAM 2.0 rejects most
-observations there. GraphSLAM corrects the past and does not need it.
+"""Errors of MRCLAM's commands per metre or radian, the systematic ones included; logs with covariances do not need it.
 """
+
+COMMANDS: Final = SystematicErrors(
+    sigma_per_m=0.05, sigma_per_rad=0.05, sigma_odometry_scale=0.05, sigma_mounting_m=0.05, sigma_range_scale=0.03
+)
+"""Systematic errors of a log without covariances: commands instead of odometry, and a camera instead of a laser.
+
+A controller holds the speed of a wheel to about a percent, and two wheels 0.26 m apart of which one is 1.3 % faster
+turn by 0.05 rad per metre; tread and tyres make the rest. A monocular camera's depths are as good as its focal
+length and the height of a printed mark: some percent.
+"""
+
+_NO_GATE = KnownCorrespondence(gate=1e6)
+"""No observation is rejected: not even where FastSLAM closes a loop of kilometres that no particle has closed yet."""
 
 
 class LandmarkEstimate(NamedTuple):
@@ -342,19 +351,22 @@ def map_landmarks(
     steps = list(source)
     watch.lap("read")
     has_noise = all(step.covariance is not None for step in steps)
+    models: dict[str, Any] = {"sensor": model, "motion": motion}
     association: Association = MaximumLikelihood() if unknown else KnownCorrespondence()
     if method == "graph":
         robust = None if has_noise else CauchyEstimator()  # else observations may be false
         estimate = _solve_graph(steps, LandmarkGraphSlam(model, GraphSlam(first_guess="given", robust=robust)), motion)
     else:
-        steps = [
-            step if step.covariance is None else replace(step, covariance=_MEMORY * step.covariance) for step in steps
-        ]
         if unknown:
             steps = [replace(step, observations=step.observations.drop_correspondences()) for step in steps]
+        models["bias"] = bias = SystematicErrors() if has_noise else COMMANDS
+        ekf = EkfSlam(model, association, bias=bias)
         if method == "ekf":
-            estimate = _run_ekf(steps, EkfSlam(model, association), motion, on_progress)
+            estimate = _run_ekf(steps, ekf, motion, on_progress)
         else:
+            if has_noise and not unknown:  # else `motion` covers systematic errors, and observations may be false
+                steps = calibrate_odometry(steps, ekf, motion)
+                association = _NO_GATE
             kind = FastSlam1 if method == "fastslam1" else FastSlam2
             rng = np.random.default_rng(seed)
             estimate = _run_particle_filter(
@@ -365,7 +377,7 @@ def map_landmarks(
         stamps_ns=np.array([step.stamp_ns for step in steps], np.int64),
         unknown=unknown,
         log=source,
-        models={"sensor": model, "motion": motion},
+        models=models,
         digest=compute_digest(source.path),
         stopwatch=watch,
         method=method,
@@ -384,7 +396,8 @@ def _run_ekf(
         state, report = slam.step(state, step.motion(motion), step.observations)
         reports.append(report)
         on_progress()
-    return _put_together(reports, slam.landmark_map(state))
+    errors = dict(zip(ERROR_NAMES, state.errors.tolist(), strict=True))
+    return _put_together(reports, slam.landmark_map(state))._replace(figures={"systematic_errors": errors})
 
 
 def _run_particle_filter(

@@ -15,9 +15,9 @@ from numpy.typing import ArrayLike
 from gridslam.arguments import freeze
 from gridslam.errors import ArgumentError
 from gridslam.geometry.angles import wrap
-from gridslam.localization.systematic_errors import ERRORS, NO_ERRORS, SystematicErrors, linearize
 from gridslam.models.association import Association, KnownCorrespondence
 from gridslam.models.landmark import LandmarkModel, LandmarkObservations, RangeBearing
+from gridslam.models.systematic_errors import ERRORS, NO_ERRORS, SystematicErrors, linearize
 from gridslam.types import FloatArray, IntArray, MotionSampler
 
 

@@ -19,10 +19,14 @@ from gridslam.geometry.angles import wrap
 from gridslam.geometry.se2 import lever_arm_jacobian
 from gridslam.models.association import NEW, Association, KnownCorrespondence, LandmarkExistence
 from gridslam.models.landmark import LandmarkModel, LandmarkObservations, RangeBearing
+from gridslam.models.systematic_errors import ERRORS, NO_ERRORS, SystematicErrors, linearize, locate
 from gridslam.particles.initial import repeat_pose
 from gridslam.slam.landmarks.report import LandmarkMap, LandmarkReport
 from gridslam.slam.landmarks.small_gaussians import mahalanobis
 from gridslam.types import FloatArray, IntArray, MotionSampler
+
+_ROBOT = 3 + ERRORS
+"""Length of the robot's part of the state: its pose and the systematic errors."""
 
 
 @final
@@ -39,6 +43,8 @@ class EkfSlam:
     existence : LandmarkExistence
         Which landmarks are real, where correspondences are unknown. A provisional one learns from the robot's pose,
         but the pose learns nothing from it.
+    bias : SystematicErrors
+        Systematic errors of odometry and sensor, which are part of the state.
 
     References
     ----------
@@ -55,10 +61,11 @@ class EkfSlam:
     sensor: LandmarkModel = field(default_factory=RangeBearing)
     association: Association = field(default_factory=KnownCorrespondence)
     existence: LandmarkExistence = field(default_factory=LandmarkExistence)
+    bias: SystematicErrors = NO_ERRORS
 
     def init(self, pose: ArrayLike = (0.0, 0.0, 0.0)) -> EkfSlamState:
         """Begin at a pose (3,) that is exact, without landmarks."""
-        return EkfSlamState.at(pose)
+        return EkfSlamState.at(pose, self.bias.covariance())
 
     def step(
         self, state: EkfSlamState, motion: MotionSampler, observations: LandmarkObservations
@@ -108,13 +115,14 @@ class EkfSlam:
     def predict(self, state: EkfSlamState, motion: MotionSampler) -> None:
         """Tables 10.1 and 10.2, lines 2 to 5, in place: the pose moves."""
         P = state.covariance
-        (moved,), (R,) = motion.moments(state.mean[None, :3])
-        G = lever_arm_jacobian(state.predicted, moved)
-        state.mean[:3] = moved
-        state.predicted = moved
-        P[:3] = G @ P[:3]
-        P[:, :3] = P[:, :3] @ G.T
-        P[:3, :3] += R
+        robot = slice(_ROBOT)
+        moved, G, R = self.bias.predict(motion, state.mean[robot])
+        G[:3, :3] = lever_arm_jacobian(state.predicted, moved)
+        state.mean[robot] = moved
+        state.predicted = moved[:3].copy()
+        P[robot] = G @ P[robot]
+        P[:, robot] = P[:, robot] @ G.T
+        P[robot, robot] += R
 
     def _correspondences(self, state: EkfSlamState, observations: LandmarkObservations) -> IntArray:
         """Table 10.2, lines 9 to 16: the index of each observation's landmark in the state."""
@@ -127,11 +135,11 @@ class EkfSlam:
         """Innovations (K, M, 2) of K observations, if they are of each of M landmarks, and covariances of them."""
         predicted, H_x, H_m = self._linearize(state, np.arange(len(state.names)))
         H = np.concatenate([H_x, H_m], axis=-1)
-        P = np.empty((len(state.names), 5, 5))  # of the pose and each landmark
-        P[:, :3, :3] = state.pose_covariance
-        P[:, 3:, 3:] = state.position_covariances
-        P[:, :3, 3:] = state.covariance[:3, 3:].reshape(3, -1, 2).swapaxes(0, 1)
-        P[:, 3:, :3] = P[:, :3, 3:].swapaxes(1, 2)
+        P = np.empty((len(state.names), _ROBOT + 2, _ROBOT + 2))  # of the robot and each landmark
+        P[:, :_ROBOT, :_ROBOT] = state.covariance[:_ROBOT, :_ROBOT]
+        P[:, _ROBOT:, _ROBOT:] = state.position_covariances
+        P[:, :_ROBOT, _ROBOT:] = state.covariance[:_ROBOT, _ROBOT:].reshape(_ROBOT, -1, 2).swapaxes(0, 1)
+        P[:, _ROBOT:, :_ROBOT] = P[:, :_ROBOT, _ROBOT:].swapaxes(1, 2)
         residuals = self.sensor.residual(observations.values[:, None], predicted)
         return residuals, H @ P @ H.swapaxes(1, 2) + self.sensor.noise(observations)[:, None]
 
@@ -149,7 +157,7 @@ class EkfSlam:
     def _correct_provisional(self, state: EkfSlamState, place: int, measured: FloatArray, noise: FloatArray) -> None:
         """Correct one landmark alone: the gain of all else is 0 (Schmidt's consider filter)."""
         residual, HP, S = self.innovation(state, np.array([place]), measured[None], noise[None])
-        own = slice(3 + 2 * place, 5 + 2 * place)
+        own = slice(_ROBOT + 2 * place, _ROBOT + 2 * place + 2)
         gain = np.linalg.solve(S, HP[:, own]).T
         state.mean[own] += gain @ residual
         state.covariance[own] -= gain @ HP
@@ -162,33 +170,33 @@ class EkfSlam:
         predicted, H_x, H_m = self._linearize(state, places)
         count = len(places)
         P = state.covariance
-        columns = 3 + 2 * places[:, None] + np.arange(2)
-        HP = H_x @ P[:3] + H_m @ P[columns]
-        S = np.einsum("iac,jbc->iajb", HP[:, :, :3], H_x) + np.einsum("iajc,jbc->iajb", HP[:, :, columns], H_m)
+        columns = _ROBOT + 2 * places[:, None] + np.arange(2)
+        HP = H_x @ P[:_ROBOT] + H_m @ P[columns]
+        S = np.einsum("iac,jbc->iajb", HP[:, :, :_ROBOT], H_x) + np.einsum("iajc,jbc->iajb", HP[:, :, columns], H_m)
         S[np.arange(count), :, np.arange(count)] += noise
         residuals = self.sensor.residual(measured, predicted)
         return residuals.ravel(), HP.reshape(2 * count, len(P)), S.reshape(2 * count, 2 * count)
 
     def _linearize(self, state: EkfSlamState, places: IntArray) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """h (K, 2) of landmarks `places` (K,), and its Jacobians by pose (K, 2, 3) and by landmark (K, 2, 2).
+        """h (K, 2) of landmarks `places` (K,), and its Jacobians by robot (K, 2, 8) and by landmark (K, 2, 2).
 
         Jacobians are those of the first estimates: see `EkfSlam`.
         """
-        predicted, _, _ = self.sensor.linearize(state.pose, state.positions[places])
-        _, H_x, H_m = self.sensor.linearize(state.predicted, state.first_positions[places])
-        return predicted, H_x, H_m
+        predicted, _ = linearize(self.sensor, state.mean[:_ROBOT], state.positions[places])
+        _, H_x = linearize(self.sensor, np.append(state.predicted, state.errors), state.first_positions[places])
+        return predicted, H_x, -H_x[..., :2]  # only where a landmark is relative to the robot makes a difference
 
     def _add(self, state: EkfSlamState, observations: LandmarkObservations, k: int, noise: FloatArray) -> int:
         """Tables 10.1, lines 9 to 11, and 10.2, line 8: put a landmark where it is seen.
 
         z = h(x, m) + e makes dm = H_m^-1 (dz - H_x dx - e).
         """
-        position = self.sensor.locate(state.pose, observations.values[k])
-        _, H_x, H_m = self.sensor.linearize(state.predicted, position)
-        by_measured = np.linalg.inv(H_m)
+        position = locate(self.sensor, state.mean[:_ROBOT], observations.values[k])
+        _, (H_x,) = linearize(self.sensor, np.append(state.predicted, state.errors), position[None])
+        by_measured = np.linalg.inv(-H_x[:, :2])
         by_pose = -by_measured @ H_x
-        with_others = by_pose @ state.covariance[:3]
-        own = with_others[:, :3] @ by_pose.T + by_measured @ noise @ by_measured.T
+        with_others = by_pose @ state.covariance[:_ROBOT]
+        own = with_others[:, :_ROBOT] @ by_pose.T + by_measured @ noise @ by_measured.T
         if self.association.uses_signatures and observations.landmarks is not None:
             name = int(observations.landmarks[k])
         else:
@@ -217,8 +225,8 @@ class EkfSlamState:
 
     Attributes
     ----------
-    mean, covariance : (3 + 2 M,), (3 + 2 M, 3 + 2 M) float64
-        Of [x, y, theta, m_1x, m_1y, m_2x, ...], in m and rad, map frame.
+    mean, covariance : (8 + 2 M,), (8 + 2 M, 8 + 2 M) float64
+        Of [x, y, theta, b, m_1x, m_1y, m_2x, ...], in m and rad, map frame, b being the five systematic errors.
     predicted : (3,) float64
         The last pose before its correction.
     first_positions : (M, 2) float64, m
@@ -244,11 +252,13 @@ class EkfSlamState:
     consumed: bool = False
 
     @classmethod
-    def at(cls, pose: ArrayLike) -> EkfSlamState:
-        """Begin at a pose (3,) that is exact; raises ArgumentError where it is none."""
-        (mean,) = repeat_pose(1, pose)
+    def at(cls, pose: ArrayLike, errors: FloatArray) -> EkfSlamState:
+        """Begin at a pose (3,) that is exact, with errors of covariance (5, 5); ArgumentError where it is no pose."""
+        mean = np.append(repeat_pose(1, pose)[0], np.zeros(ERRORS))
         nothing = np.empty(0, np.int64)
-        return cls(mean, np.zeros((3, 3)), mean.copy(), np.empty((0, 2)), nothing, np.empty(0), nothing)
+        covariance = np.zeros((_ROBOT, _ROBOT))
+        covariance[3:, 3:] = errors
+        return cls(mean, covariance, mean[:3].copy(), np.empty((0, 2)), nothing, np.empty(0), nothing)
 
     @property
     def pose(self) -> FloatArray:
@@ -261,15 +271,20 @@ class EkfSlamState:
         return self.covariance[:3, :3]
 
     @property
+    def errors(self) -> FloatArray:
+        """Means (5,) of the systematic errors."""
+        return self.mean[3:_ROBOT]
+
+    @property
     def positions(self) -> FloatArray:
         """Mean positions (M, 2) of the landmarks."""
-        return self.mean[3:].reshape(-1, 2)
+        return self.mean[_ROBOT:].reshape(-1, 2)
 
     @property
     def position_covariances(self) -> FloatArray:
         """Covariance (M, 2, 2) of each landmark's position."""
         every = np.arange(len(self.names))
-        return np.asarray(self.covariance[3:, 3:].reshape(len(every), 2, len(every), 2)[every, :, every])
+        return np.asarray(self.covariance[_ROBOT:, _ROBOT:].reshape(len(every), 2, len(every), 2)[every, :, every])
 
     def append(self, name: int, position: FloatArray, with_others: FloatArray, own: FloatArray) -> None:
         """Add a landmark at the end.
@@ -292,7 +307,7 @@ class EkfSlamState:
 
     def keep(self, kept: NDArray[np.bool_]) -> None:
         """Forget all landmarks but those `kept` (M,)."""
-        rows = np.flatnonzero(np.concatenate([np.ones(3, np.bool_), np.repeat(kept, 2)]))
+        rows = np.flatnonzero(np.concatenate([np.ones(_ROBOT, np.bool_), np.repeat(kept, 2)]))
         self.mean = self.mean[rows]
         self.covariance = self.covariance[np.ix_(rows, rows)]
         for name in ("first_positions", "names", "evidence", "observations"):

@@ -13,8 +13,10 @@ from gridslam.models.landmark import LandmarkModel
 from gridslam.parameters import bounded, parameters
 from gridslam.types import FloatArray, MotionSampler
 
-ERRORS: Final = 5
-"""Number of systematic errors: three of the odometry, then the mounting and the scale of the sensor."""
+ERROR_NAMES: Final = "turn_per_m", "turn_per_rad", "odometry_scale", "mounting_m", "range_scale"
+"""The systematic errors: three of the odometry, then the mounting and the scale of the sensor."""
+
+ERRORS: Final = len(ERROR_NAMES)
 
 
 @final
@@ -78,10 +80,10 @@ class SystematicErrors:
             The same after the motion, its derivatives by `known`, and the covariance of the noise.
         """
         (reported,), (noise,) = motion.moments(known[None, :3])
-        dx, dy, turn = increment = between(known[:3], reported)
-        by_errors = np.array([[0, 0, dx, 0, 0], [0, 0, dy, 0, 0], [dx, turn, 0, 0, 0]])
+        dx, dy, _ = increment = between(known[:3], reported)
+        by_errors = _by_errors(increment)
         kept = math.exp(-math.hypot(dx, dy) / self.memory_m)
-        moved = np.concatenate([compose(known[:3], increment + by_errors @ known[3:]), kept * known[3:]])
+        moved = np.concatenate([compose(known[:3], correct_increment(increment, known[3:])), kept * known[3:]])
         moved[2] = wrap(float(moved[2]))
         c, s = math.cos(known[2]), math.sin(known[2])
         F = np.eye(3 + ERRORS)
@@ -98,16 +100,27 @@ NO_ERRORS = SystematicErrors(sigma_per_m=0, sigma_per_rad=0)
 """No systematic errors: noise is all that is wrong."""
 
 
+def correct_increment(increment: FloatArray, errors: FloatArray) -> FloatArray:
+    """Return an increment (3,) of the odometry without its systematic errors (5,)."""
+    return np.asarray(increment + _by_errors(increment) @ errors)
+
+
+def _by_errors(increment: FloatArray) -> FloatArray:
+    """Return the derivatives (3, 5) of a corrected increment by the errors."""
+    dx, dy, turn = increment
+    return np.array([[0, 0, dx, 0, 0], [0, 0, dy, 0, 0], [dx, turn, 0, 0, 0]])
+
+
 def linearize(sensor: LandmarkModel, known: FloatArray, landmarks: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Predict the observations h (M, 2) of landmarks (M, 2), and their derivatives H (M, 2, 8) by pose and errors.
 
     A sensor at s, the mounting ahead of the robot's center, measures the landmark m as if it were at
     s + (1 + scale) (m - s).
     """
-    c, s = math.cos(known[2]), math.sin(known[2])
-    ahead, left = np.array([c, s]), np.array([-s, c])
+    ahead = np.array([math.cos(known[2]), math.sin(known[2])])
+    left = np.array([-ahead[1], ahead[0]])
     mounted, scale = known[6], 1.0 + known[7]
-    at = np.array([*(known[:2] + mounted * ahead), known[2]])
+    at = _sensor_pose(known)
     relative = landmarks - at[:2]
     predicted, H_x, H_m = sensor.linearize(at, at[:2] + scale * relative)
     H = np.zeros((len(landmarks), 2, 3 + ERRORS))
@@ -116,3 +129,15 @@ def linearize(sensor: LandmarkModel, known: FloatArray, landmarks: FloatArray) -
     H[..., 6] = -scale * (H_m @ ahead)
     H[..., 7] = np.einsum("mij,mj->mi", H_m, relative)
     return predicted, H
+
+
+def locate(sensor: LandmarkModel, known: FloatArray, measured: FloatArray) -> FloatArray:
+    """Return where the landmarks (..., 2) are that are measured so: the inverse of `linearize`."""
+    at = _sensor_pose(known)
+    return np.asarray(at[:2] + (sensor.locate(at, measured) - at[:2]) / (1.0 + known[7]))
+
+
+def _sensor_pose(known: FloatArray) -> FloatArray:
+    """Pose (3,) of the sensor, which is mounted ahead of the robot's center."""
+    x, y, theta = known[:3]
+    return np.array([x + known[6] * math.cos(theta), y + known[6] * math.sin(theta), theta])

@@ -6,9 +6,9 @@ from checks import differences
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from gridslam.localization.systematic_errors import NO_ERRORS, SystematicErrors, linearize
 from gridslam.models.landmark import DepthBearing, RangeBearing, RelativePosition
 from gridslam.models.motion import DiffusionMotion, GaussianIncrement
+from gridslam.models.systematic_errors import NO_ERRORS, SystematicErrors, linearize, locate
 
 increments = st.tuples(st.floats(-2, 2), st.floats(-0.5, 0.5), st.floats(-1, 1)).map(np.array)
 places, errors = st.floats(-50, 50), st.floats(-0.1, 0.1)
@@ -72,3 +72,4 @@ def test_a_sensor_ahead_that_takes_ranges_for_too_long(sensor):
     seen, _, _ = sensor.linearize(np.append(at, 0.7), at + 1.04 * (landmark - at))
     np.testing.assert_allclose(predicted, seen)
     np.testing.assert_allclose(H[0], differences(lambda now: linearize(sensor, now, landmark)[0][0], known), atol=1e-7)
+    np.testing.assert_allclose(locate(sensor, known, predicted), landmark)
