@@ -14,7 +14,6 @@ import numpy as np
 import pytest
 
 import gridslam
-from gridslam.api.beginning import Place
 from gridslam.config import override
 from gridslam.geometry.se2 import between, compose, inverse
 from gridslam.io.csv import write_csv_log
@@ -98,12 +97,12 @@ def describe_session(saved: SavedSession) -> dict[str, Any]:
 def run_node(folder: Path, out: Path, cuts: Sequence[int] = (), *, autosaved: bool = False) -> dict[str, Any]:
     """Let nodes map the second day, each going on from the file that the one before has left after `cuts` scans.
 
-    The file is that of the service `serialize_map`, or the autosave. Returns all that the last one leaves but times and
-    the logs, of which each node has one.
+    The file is the session that the node saves at its end, or the autosave. Returns all that the last one leaves but
+    times and the logs, of which each node has one.
     """
     out.mkdir()
     scans = moved(drive(seed=2)[_BEGINS : _BEGINS + SCANS])
-    continued = Continued.read(folder / "days.gridslam", place=Place.ELSEWHERE)
+    continued = replace(Continued.read(folder / "days.gridslam"), is_elsewhere=True)
     for begin, end in pairwise((0, *cuts, SCANS)):
         node = NodeSession(continued.saved.configuration, continued.saved.seed, 1, continued)
         node.run(_count(node, scans[begin:end]), [_Waiting(node)], _fail)

@@ -13,7 +13,7 @@ def building(tmp_path_factory):
 
 
 def test_a_node_that_goes_on_from_what_another_one_has_left_gives_the_same_bytes(building, tmp_path):
-    """`serialize_map` and the autosave, before and after it was found: with another building as a piece apart."""
+    """A saved session and the autosave, before and after it was found: with another building as a piece apart."""
     whole = run_node(building, tmp_path / "whole")
     assert whole["found"]["drives"] == ("monday",)
     assert whole["apart"] == [["annex"]]
