@@ -192,8 +192,9 @@ def _read_parameters(node: Any) -> dict[str, Any]:  # noqa: ANN401
 
 
 def _refuse_changes(parameters: Sequence[Any]) -> Any:  # noqa: ANN401
-    """Let no parameters be set but those of rclpy: the others are read when the node starts."""
-    refused = ", ".join(one.name for one in parameters if one.name not in _ROS_S)
+    """Let no parameters be set but those of rclpy, which declares the topics' QoS overrides as read-only itself."""
+    names = (one.name for one in parameters if not one.name.startswith("qos_overrides."))
+    refused = ", ".join(name for name in names if name not in _ROS_S)
     reason = f"{refused}: read when the node starts" if refused else ""
     return _import("rcl_interfaces.msg").SetParametersResult(successful=not refused, reason=reason)
 
