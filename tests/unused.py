@@ -4,7 +4,7 @@
 context, format_epilog, format_usage, get_command, list_commands  # click
 __getattr__, __dir__, __signature__, __cause__, __context__, _repr_html_, _repr_svg_  # Python and notebooks
 writeable, comment, compress_type, max_size, should_exit  # NumPy, zipfile, websockets, uvicorn
-run_map, run_localize, run_doctor, run_evaluate  # targets of jobs, which are text
+run_map, run_localize, run_doctor  # targets of jobs, which are text
 (
     comments,
     jumps,
@@ -16,4 +16,4 @@ run_map, run_localize, run_doctor, run_evaluate  # targets of jobs, which are te
     runner_up_pose,
     agreeing_keypoints,
 )  # read together with others
-to_planar, laser_motion, squared_innovations, read_trajectory_csv  # offered to callers
+to_planar, squared_innovations, read_trajectory_csv  # offered to callers

@@ -68,7 +68,8 @@ def test_a_robot_that_is_placed_is_followed_and_told(map_file, log):
     assert (told.level, told.summary) == (Level.OK, "localizing")
     assert len(outputs.clouds[-1].poses) >= 100
     assert len(outputs.clouds[-1].data()) == 56 * len(outputs.clouds[-1].poses)
-    assert len(outputs.maps) <= 2  # once more when the clock begins
+    assert until(lambda: len(outputs.maps) == 2), "once more when the clock has begun"
+    assert [known.stamp_ns > 0 for known in outputs.maps] == [False, True]
     assert core.close() is None
 
 

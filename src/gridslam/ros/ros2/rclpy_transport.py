@@ -23,8 +23,6 @@ from gridslam.ros.ros2.parameter_files import find_foreign_files
 
 NODE_NAME = "gridslam"
 
-_ROS_S = "use_sim_time", "start_type_description_service"  # parameters that rclpy handles
-
 _HINT = "source a ROS 2, and install gridslam with its Python (python3 -m venv --system-site-packages)"
 _import = partial(import_ros, "ROS 2", _HINT)
 
@@ -188,13 +186,17 @@ class RclpyTransport:
 def _read_parameters(node: Any) -> dict[str, Any]:  # noqa: ANN401
     """Return the parameters set by launch files and arguments; no others are declared, so presets apply."""
     there = node.get_parameters_by_prefix("").items()
-    return {name: one.value for name, one in there if name not in _ROS_S and not name.startswith("qos_overrides.")}
+    return {name: one.value for name, one in there if not _is_of_rclpy(name)}
+
+
+def _is_of_rclpy(name: str) -> bool:
+    """Return whether rclpy handles a parameter itself; QoS overrides of topics it declares as read-only."""
+    return name in {"use_sim_time", "start_type_description_service"} or name.startswith("qos_overrides.")
 
 
 def _refuse_changes(parameters: Sequence[Any]) -> Any:  # noqa: ANN401
-    """Let no parameters be set but those of rclpy, which declares the topics' QoS overrides as read-only itself."""
-    names = (one.name for one in parameters if not one.name.startswith("qos_overrides."))
-    refused = ", ".join(name for name in names if name not in _ROS_S)
+    """Refuse changes of the node's own parameters, which are read when it starts."""
+    refused = ", ".join(one.name for one in parameters if not _is_of_rclpy(one.name))
     reason = f"{refused}: read when the node starts" if refused else ""
     return _import("rcl_interfaces.msg").SetParametersResult(successful=not refused, reason=reason)
 
