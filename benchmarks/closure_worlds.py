@@ -31,7 +31,7 @@ class Drive:
     lidar: LidarConfig
     seed: int
 
-    def stream(self) -> SimulatedLog:
+    def simulate(self) -> SimulatedLog:
         """Simulate it, from the start each time; the same bytes each time."""
         rng = np.random.default_rng([self.seed, 1])
         return simulate(self.world, self.robot, self.odometry, self.lidar, rng)

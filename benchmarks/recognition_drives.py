@@ -112,10 +112,10 @@ def simulated(kind: str, seed: int) -> Drive:
     And one on the grounds, without any.
     """
     course, rng = _course(kind, seed), np.random.default_rng([seed, zlib.crc32(kind.encode())])
-    stream = course.stream()
-    scans, truth = [scan for _, scan in stream.measurements], np.asarray(stream.truth.poses)
+    log = course.simulate()
+    scans, truth = [scan for _, scan in log.measurements], np.asarray(log.truth.poses)
     strength = _HONEST if kind in _UNLIKE else _DECEPTIVE
-    dark, wrong = np.empty((0, 2)), np.asarray(stream.odometry.poses)
+    dark, wrong = np.empty((0, 2)), np.asarray(log.odometry.poses)
     if kind == "grounds":
         seen = scans[0].geometry
         read = ScanGeometry(_MISREAD * seen.bearings, seen.base_from_laser)

@@ -100,7 +100,7 @@ def rows(log: Path) -> dict[str, Row]:
     def campus_peak(side: Side) -> dict[str, float]:
         with tempfile.TemporaryDirectory() as folder:
             log = Path(folder) / "campus.clf"
-            write_carmen(log, campus(0).stream().measurements)
+            write_carmen(log, campus(0).simulate().measurements)
             return {"peak_mb": side.map(log)["peak_mb"]}
 
     def start(side: Side) -> dict[str, float]:

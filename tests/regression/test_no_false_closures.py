@@ -39,12 +39,12 @@ class Driven:
 
 @pytest.fixture(scope="module", params=DECEPTIVE)
 def driven(request) -> tuple[str, Driven]:
-    stream, recorder = deceptive(request.param, 0).stream(), TrajectoryRecorder()
+    log, recorder = deceptive(request.param, 0).simulate(), TrajectoryRecorder()
     rng = np.random.default_rng(0)
-    state = run(stream.measurements, build(replace(CONFIG, particles=PARTICLES)), rng=rng, observers=[recorder])
+    state = run(log.measurements, build(replace(CONFIG, particles=PARTICLES)), rng=rng, observers=[recorder])
     parts = CONFIG.mapper, CONFIG.loop_closure
     answer = full_slam(state, [recorder.tracked_scans()], *parts)
-    return request.param, Driven(stream.truth, stream.odometry, state, answer)
+    return request.param, Driven(log.truth, log.odometry, state, answer)
 
 
 def test_nothing_false_is_recognized_or_known(driven):

@@ -58,7 +58,7 @@ def test_a_component_is_laid_where_its_key_scans_fit(seen):
 @pytest.mark.parametrize(("kind", "seed"), [("symmetric", 2)])
 def test_where_places_are_alike_nothing_false_is_aligned(kind, seed):
     """The second half of the drive hangs on a blind stretch; a shift by a room would fit nearly as well."""
-    seen = hall.key_scans(deceptive(kind, seed).stream())
+    seen = hall.key_scans(deceptive(kind, seed).simulate())
     closure_state = interrupted(seen, len(seen.truth) // 2)
     assert (hall.errors(seen.truth, aligned(closure_state)).reshape(-1, 2) < [0.5, 0.09]).all()
 

@@ -86,9 +86,9 @@ def test_a_key_scan_that_is_taken_back_leaves_no_trace(drives):
 
 
 def driven(world: Drive) -> hall.Seen:
-    stream = world.stream()
-    assert returns(stream.truth.poses) < 0.1
-    return hall.key_scans(stream)
+    log = world.simulate()
+    assert returns(log.truth.poses) < 0.1
+    return hall.key_scans(log)
 
 
 @pytest.mark.parametrize(("kind", "seed"), [("equal_rooms", 0), ("symmetric", 2), ("bare_corridors", 0)])
