@@ -10,15 +10,22 @@ import math
 import sys
 import time
 from itertools import islice
+from typing import Any
 
 import numpy as np
 
 
+def _find(module: Any, name: str, earlier: str) -> Any:  # noqa: ANN401
+    """Return a class of a module by its name, or by that which it has at the earlier commit."""
+    return getattr(module, name, None) or getattr(module, earlier)
+
+
 def mcl(particles: int = 10_000, count: int = 180, updates: int = 100) -> dict[str, float]:
     """CPU ms of an update of Monte Carlo localization in a hall of 40 m x 40 m with 600 pillars, one thread."""
-    from gridslam.localization import KnownMap, MonteCarloConfiguration, MonteCarloLocalization
+    from gridslam import localization
+    from gridslam.localization import KnownMap, MonteCarloLocalization
     from gridslam.localization.kld_sampling import KldSampling
-    from gridslam.particles import AlwaysResample, MotionThreshold
+    from gridslam.particles import policies
     from gridslam.types import LaserScan, OccupancyGrid, Odometry, ScanGeometry
 
     rng, cells = np.random.default_rng(0), np.full((800, 800), -4.0, np.float32)
@@ -26,16 +33,16 @@ def mcl(particles: int = 10_000, count: int = 180, updates: int = 100) -> dict[s
     for row, column in rng.integers(2, 796, (600, 2)):
         cells[row : row + 3, column : column + 3] = 4.0
     known = KnownMap(OccupancyGrid(cells, np.ones(cells.shape, bool), 0.05, (0.0, 0.0)))
-    parts = MonteCarloConfiguration(
+    parts = _find(localization, "MonteCarloConfiguration", "MonteCarloParts")(
         kld=KldSampling(particles_min=particles, particles_max=particles),
         max_beams=count,
-        when_to_update=MotionThreshold(1e-9, 1.0),
-        when_to_resample=AlwaysResample(),
+        when_to_update=_find(policies, "MotionThreshold", "MovedAtLeast")(1e-9, 1.0),
+        when_to_resample=_find(policies, "AlwaysResample", "Always")(),
     )
     slam, rng = MonteCarloLocalization(known, parts), np.random.default_rng(0)
     truth, bearings = np.array([20.0, 20.0, 0.0]), np.linspace(-math.pi / 2, math.pi / 2, count)
     directions = np.column_stack([np.cos(bearings), np.sin(bearings)])
-    state, drive = slam.init_gaussian(truth, np.diag([0.01, 0.01, 0.01]), rng), []
+    state, drive = slam.init(truth + 0.1 * rng.standard_normal((particles, 3))), []
     for k in range(updates):
         pose = truth + np.array([0.01 * k, 0.0, 0.0])
         ranges = known.cast_rays(np.zeros(1), pose[None], np.zeros(2), directions, 30.0)[0]
@@ -50,7 +57,7 @@ def fastslam2() -> dict[str, float]:
     """Wall ms of a step of FastSLAM 2.0, 1000 particles x 100 landmarks, two observations a step."""
     import landmarks
 
-    known = getattr(landmarks, "KnownCorrespondence", None) or landmarks.Told  # its name up to 0.1
+    known = _find(landmarks, "KnownCorrespondence", "Told")
     filters = landmarks.LandmarkFilters(landmarks._SENSOR, known())
     return {"ms": 1e3 / landmarks._fastslam_rate(landmarks.FastSlam2(filters), 1000, 100, 100)}
 

@@ -51,14 +51,16 @@ def estimate_pose(poses: FloatArray, weights: FloatArray) -> PoseEstimate:
 
     Source: K. Mardia, J. Kent and J. Bibby, Multivariate Analysis (1979), Section 3.4 (the inverse Wishart's mean).
     """
-    names = cluster_bins(*poses.T.copy())
+    places = poses.T.copy()
+    names = cluster_bins(*places)
     near = names == np.bincount(names, weights).argmax()
     centre = poses[np.flatnonzero(near)[weights[near].argmax()]]
-    away = _relative_coordinates(poses, centre)
+    away = _relative_coordinates(places, centre)
     for _ in range(_SHIFTS):
-        centre = centre + np.average(away, axis=1, weights=np.where(near, weights, 0.0))
+        shares = np.where(near, weights, 0.0)
+        centre = centre + np.einsum("in,n->i", away, shares) / shares.sum()
         centre[2] = wrap(centre[2])
-        away = _relative_coordinates(poses, centre)
+        away = _relative_coordinates(places, centre)
         near = _is_in_cluster(away)
     mass = float(weights[near].sum())
     if mass > 0.5:
@@ -67,7 +69,7 @@ def estimate_pose(poses: FloatArray, weights: FloatArray) -> PoseEstimate:
     if effective < _FEW:  # too few do not determine the spread: all weights are equal
         weights = np.ones(len(weights))
         effective = max(float(len(weights)), _FEW)
-    covariance = np.einsum("in,jn,n->ij", away, away, weights) / weights.sum()
+    covariance = np.einsum("in,jn->ij", weights * away, away) / weights.sum()
     return PoseEstimate(centre, covariance * (effective / (effective - 5)), min(mass, 1.0))
 
 
@@ -88,7 +90,7 @@ def cluster_bins(x: FloatArray, y: FloatArray, theta: FloatArray) -> IntArray:
 
 def is_in_cluster(poses: FloatArray, centre: FloatArray) -> NDArray[np.bool_]:
     """Return which of poses (N, 3) are as near to a centre (3,) as belongs to one cluster."""
-    return _is_in_cluster(_relative_coordinates(poses, centre))
+    return _is_in_cluster(_relative_coordinates(poses.T, centre))
 
 
 def _is_in_cluster(away: FloatArray) -> NDArray[np.bool_]:
@@ -96,9 +98,9 @@ def _is_in_cluster(away: FloatArray) -> NDArray[np.bool_]:
     return np.asarray((away[0] ** 2 + away[1] ** 2 < CLUSTER_RADIUS_M**2) & (np.abs(away[2]) < CLUSTER_RADIUS_RAD))
 
 
-def _relative_coordinates(poses: FloatArray, centre: FloatArray) -> FloatArray:
-    """Return coordinates (3, N) of poses (N, 3) from a centre (3,), along the map's axes."""
-    away = poses.T - centre[:, None]
+def _relative_coordinates(places: FloatArray, centre: FloatArray) -> FloatArray:
+    """Return coordinates (3, N) of poses (3, N) from a centre (3,), along the map's axes."""
+    away = places - centre[:, None]
     turn = away[2]  # of two angles in [-pi, pi): at most one turn too far
     turn[turn >= math.pi] -= math.tau
     turn[turn < -math.pi] += math.tau
