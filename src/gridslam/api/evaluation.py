@@ -33,8 +33,7 @@ def evaluate_trajectory(trajectory: str | Path, reference: str | Path, distance_
         A file in TUM or EuRoC format.
     reference : str or Path
         True relations if its name ends in .relations; the log that the trajectory is of, in any format, read with the
-        corrections of `map_log`; or else the true trajectory, a file in TUM, EuRoC or KITTI format; one of KITTI has a
-        pose for each of the trajectory.
+        corrections of `map_log`; or else the true trajectory, a file in TUM or EuRoC format.
     distance_m : float, m, > 0
         Path length between the pairs of poses of the RPE.
 
@@ -75,7 +74,7 @@ def score_against_reference(
         if is_log(reference):
             scans = (scan for _, scan in open_repaired(reference, None, "needed"))
             return {"self_consistency": asdict(measure_self_consistency(estimate, scans))}
-        return score_against_truth(estimate, read_trajectory(reference, estimate.stamps_ns), distance_m)
+        return score_against_truth(estimate, read_trajectory(reference), distance_m)
     except ArgumentError as error:
         if error.argument == "distance_m":
             raise
