@@ -21,9 +21,9 @@ from gridslam.io.sessions.archive_file import (
     dump_generator,
     load_generator,
     name_file,
-    read_sealed_arrays,
+    read_arrays,
     read_text_array,
-    write_sealed_arrays,
+    write_arrays,
 )
 from gridslam.io.sessions.drives import Drive, DrivenLog, SavedPiece
 from gridslam.io.text import parse_json
@@ -200,7 +200,7 @@ def write_session(path: str | Path, session: SavedSession) -> None:
     OutputError
         The file cannot be written.
     """
-    write_sealed_arrays(path, session.dump())
+    write_arrays(path, session.dump())
 
 
 def read_session(path: str | Path, threads: int = 1) -> SavedSession:
@@ -218,7 +218,7 @@ def read_session(path: str | Path, threads: int = 1) -> SavedSession:
     InputError
         The file cannot be read, is damaged, has another schema, or its arrays do not belong together.
     """
-    arrays = read_sealed_arrays(path, SESSION_SCHEMA, _WHAT)
+    arrays = read_arrays(path, SESSION_SCHEMA, _WHAT)
     with name_file(path, _WHAT):
         head = _parse_head(arrays)
         configuration = loads(head["configuration"], ignore_unknown=True)
@@ -240,7 +240,7 @@ def read_session(path: str | Path, threads: int = 1) -> SavedSession:
 
 def read_head(path: str | Path) -> SessionHead:
     """Read the head of a session file, without restoring it; raises InputError as `read_session`."""
-    arrays = read_sealed_arrays(path, SESSION_SCHEMA, _WHAT)
+    arrays = read_arrays(path, SESSION_SCHEMA, _WHAT)
     with name_file(path, _WHAT):
         head = _parse_head(arrays)
         ends = "graph.poses", "run.state.ancestry.trunk", "run.state.ancestry.counts"
