@@ -11,7 +11,7 @@ from gridslam.api.diagnosis import check_log, describe_finding
 from gridslam.api.mapping import MapResult, map_log
 from gridslam.cli import STARTED_S
 from gridslam.cli.live import NOBODY, Viewers, open_viewers
-from gridslam.cli.options import MapOptions, name_option
+from gridslam.cli.options import MapOptions
 from gridslam.cli.output import counted, open_output, open_progress, print_result
 from gridslam.cli.session_options import SessionOptions
 from gridslam.io.log import Log, open_log
@@ -39,10 +39,9 @@ def map_to_folder(
         viewers.report(text)
 
     source = check_log(open_log(log, given.options), given.options, report, is_mapped=True)
-    with (
-        open_viewers(live, source.path.name, configuration.range_max_m, out=out, has_history=not no_history) as viewers,
-        name_option(floor="--floor"),
-    ):
+    with open_viewers(
+        live, source.path.name, configuration.range_max_m, out=out, has_history=not no_history
+    ) as viewers:
         with open_output(out, MapResult.all_names()) as folder:
             if opened is None:
                 run = partial(map_log, configuration=configuration, seed=given.seed, threads=given.threads)

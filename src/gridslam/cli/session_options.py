@@ -18,7 +18,6 @@ from gridslam.config import Configuration
 from gridslam.errors import ArgumentError
 from gridslam.io.log import Log
 from gridslam.io.maps import read_map
-from gridslam.io.sessions.drives import find_floor
 
 _OF_THE_SESSION = ("particles", "seed", "preset", "laser", "config", "assignments", "no_loop_closure")
 """Parameters of `gridslam map` that a session has already."""
@@ -41,8 +40,6 @@ class SessionOptions:
         Whether what the session has mapped stays where it is.
     name : str or None
         Of the drive.
-    floor : str
-        On which the log is; empty where it is not known.
     prior : Path or None
         YAML file of a known map.
     """
@@ -54,7 +51,6 @@ class SessionOptions:
     pose: tuple[float, float, float] | None
     frozen: bool
     name: str | None
-    floor: str
     prior: Path | None
 
     def check(self, context: click.Context) -> None:
@@ -70,8 +66,6 @@ class SessionOptions:
         ):
             if given and not known:
                 raise click.UsageError(f"{option} needs --continue or --prior")
-        if self.floor and self.continued is None and self.save is None:
-            raise click.UsageError("--floor needs --save or --continue")
         if self.continued is None:
             return
         for parameter in context.command.params:
@@ -98,15 +92,13 @@ class SessionOptions:
     def add(self, session: Session, log: Log, **options: Any) -> MapResult:  # noqa: ANN401
         """Add a log to a session."""
         place = Place.SAME if self.same_place else Place.ELSEWHERE if self.elsewhere else Place.AUTO
-        where = {"place": place, "pose": self.pose, "frozen": self.frozen, "name": self.name, "floor": self.floor}
+        where = {"place": place, "pose": self.pose, "frozen": self.frozen, "name": self.name}
         return session.add(log, **where, **options)  # type: ignore[arg-type]
 
     def summarize(self, session: Session | None, result: MapResult) -> Iterator[str]:
         """Format the lines that a session adds to the summary of a run."""
         if session is None:
             return
-        if session.saved.run is not None and (floor := find_floor(session.saved.run.drives)):
-            yield f"floor: {floor}"
         if session.decision is not None:
             where = "continues where the session ended" if session.is_same_place else "begins elsewhere"
             forced = " (forced)" if session.is_same_place != session.decision.is_same else ""

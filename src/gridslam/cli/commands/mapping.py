@@ -94,7 +94,7 @@ def demo_command(**options: Any) -> None:  # noqa: ANN401
 @click.option("-o", "--out", type=OUT, help="Write each map to this folder: NAME.yaml, NAME.pgm.")
 @json_option
 def session_command(**options: Any) -> None:  # noqa: ANN401
-    """Show the content of a session FILE: maps by name, drives, logs, dates, sizes, and links of floors."""
+    """Show the content of a session FILE: maps by name, drives, logs, dates and sizes."""
     from gridslam.cli.sessions import show_session
 
     show_session(**options)

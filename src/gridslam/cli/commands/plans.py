@@ -9,14 +9,9 @@ import click
 from gridslam.cli.option_types import PATH, Number
 from gridslam.cli.options import json_option, out_option
 
-_floor_option = click.option(
-    "--floor", metavar="NAME", help="Of a session: the map that is taken.  [default: the newest drive's]"
-)
-
 
 @click.command("plan")
 @click.argument("source", type=PATH)
-@_floor_option
 @out_option
 @click.option(
     "--scale",
@@ -43,7 +38,6 @@ def plan_command(**options: Any) -> None:  # noqa: ANN401
 @click.command("changes")
 @click.argument("first", type=PATH)
 @click.argument("second", type=PATH)
-@_floor_option
 @out_option
 @click.option("--same-frame", is_flag=True, help="Both maps have one frame; do not align them by their walls.")
 @json_option
@@ -82,7 +76,6 @@ def mask_command(**options: Any) -> None:  # noqa: ANN401
 @click.command("align")
 @click.argument("source", metavar="MAP", type=PATH)
 @click.argument("plan", type=PATH)
-@_floor_option
 @out_option
 @click.option(
     "--unit",

@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 import hashlib
-import re
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import final
 
@@ -12,7 +11,6 @@ import numpy as np
 
 from gridslam import serialization
 from gridslam.arguments import require_instance
-from gridslam.errors import ArgumentError
 from gridslam.io.log_statistics import LogStatistics
 from gridslam.mapping.occupancy_grid_mapping import OccupancyGridMapping
 from gridslam.slam.full_slam.full_trajectory import TrackedScans, full_trajectories
@@ -77,15 +75,12 @@ class Drive:
         Of all scans.
     scans : TrackedScans
         The scans as they were tracked; key scans are counted over the piece.
-    floor : str
-        Name of the floor; empty where none was given.
     """
 
     name: str
     logs: tuple[DrivenLog, ...]
     stamps_ns: IntArray
     scans: TrackedScans
-    floor: str = ""
 
     def __repr__(self) -> str:
         """Return one line."""
@@ -96,18 +91,6 @@ class Drive:
         """Stamps of its key scans."""
         stamps: IntArray = self.stamps_ns[np.flatnonzero(np.diff(self.scans.keys, prepend=-1))]
         return stamps
-
-
-def require_floor(name: str) -> str:
-    """Return a valid name of a floor, or none; raises ArgumentError for a name that no file can have."""
-    if name and not re.fullmatch(r"\w[\w.-]{0,39}", name):
-        raise ArgumentError("floor", "1 to 40 letters, digits, '_', '.' and '-'", repr(name[:60]))
-    return name
-
-
-def find_floor(drives: Iterable[Drive]) -> str:
-    """Return the name of the floor of drives of one map; empty where none has one."""
-    return next((drive.floor for drive in drives if drive.floor), "")
 
 
 @final
@@ -131,14 +114,9 @@ class SavedPiece:
         return f"SavedPiece({', '.join(drive.name for drive in self.drives) or 'a given map'}: {self.piece})"
 
     @property
-    def floor(self) -> str:
-        """Name of the floor that it is the map of; empty where no drive has one."""
-        return find_floor(self.drives)
-
-    @property
     def name(self) -> str:
-        """Name of its map: that of the floor, else of its first drive."""
-        return self.floor or next((drive.name for drive in self.drives), "given")
+        """Name of its map: that of its first drive."""
+        return next((drive.name for drive in self.drives), "given")
 
     @property
     def tracked_scans(self) -> list[TrackedScans]:

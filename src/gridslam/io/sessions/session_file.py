@@ -58,8 +58,6 @@ class SavedRun:
         The logs so far.
     earlier : tuple of Drive
         The drives of the piece in which the robot was found, whose key scans come first.
-    floor : str
-        Name of the floor; empty where none was given.
     """
 
     rng: np.random.Generator
@@ -69,7 +67,6 @@ class SavedRun:
     name: str = ""
     logs: tuple[DrivenLog, ...] = ()
     earlier: tuple[Drive, ...] = ()
-    floor: str = ""
 
     def snapshot(self) -> SavedRun:
         """Keep a copy for later."""
@@ -88,7 +85,7 @@ class SavedRun:
         keys = len(self.trajectory.key_scans)
         first = 0 if self.state is None else self.state.ancestry.steps - keys
         stamps_ns = self.trajectory.online_trajectory().stamps_ns
-        own = Drive(self.name, self.logs, stamps_ns, self.trajectory.tracked_scans(first), self.floor)
+        own = Drive(self.name, self.logs, stamps_ns, self.trajectory.tracked_scans(first))
         return (*self.earlier, own)
 
 
@@ -261,7 +258,6 @@ def _parse_head(arrays: Arrays) -> dict[str, Any]:
     for drive in chain.from_iterable(groups):
         require_instance("drives", drive, dict)
         require_instance("name", drive["name"], str)
-        require_instance("floor", drive.get("floor", ""), str)
         _load_logs(drive["logs"])
     return dict(head)
 
@@ -271,8 +267,7 @@ def _prefix(part: str, arrays: Arrays) -> dict[str, Any]:
 
 
 def _describe(drive: Drive | SavedRun) -> dict[str, Any]:
-    described = {"name": drive.name, "logs": [asdict(log) for log in drive.logs]}
-    return described | ({"floor": drive.floor} if drive.floor else {})
+    return {"name": drive.name, "logs": [asdict(log) for log in drive.logs]}
 
 
 def _dump_drives(part: str, drives: tuple[Drive, ...]) -> dict[str, Any]:
@@ -298,7 +293,7 @@ def _load_drives(arrays: Arrays, heads: list[dict[str, Any]]) -> tuple[Drive, ..
         key_from_base = read_array(own, "key_from_base", np.float64, ("scans", 3), sizes)
         poses = read_array(own, "poses", np.float64, ("scans", 3), sizes) if "poses" in own else None
         scans = TrackedScans(keys, key_from_base, poses)
-        drives.append(Drive(str(head["name"]), _load_logs(head["logs"]), stamps_ns, scans, head.get("floor", "")))
+        drives.append(Drive(str(head["name"]), _load_logs(head["logs"]), stamps_ns, scans))
     return tuple(drives)
 
 
@@ -317,7 +312,6 @@ def _load_run(arrays: Arrays, head: dict[str, Any], configuration: Configuration
         statistics=StatisticsRecorder.from_arrays(select_part(arrays, "statistics")),
         name=str(head["name"]),
         logs=_load_logs(head["logs"]),
-        floor=head.get("floor", ""),
     )
     if "state.schema" not in arrays:
         return run
