@@ -61,7 +61,6 @@ INNER_RANKS = {
     "io": {
         "limits": -1,
         "read_ahead": -1,
-        "staging": -1,
         "measurement": 0,
         "output": 0,
         "text": 0,

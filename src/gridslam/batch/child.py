@@ -22,8 +22,7 @@ from gridslam.api.peak_memory import find_peak_memory_bytes
 from gridslam.batch.job import Job
 from gridslam.batch.journal import COLUMNS
 from gridslam.errors import GridslamError
-from gridslam.io.output import OutputFolder
-from gridslam.io.staging import remove_abandoned
+from gridslam.io.output import OutputFolder, remove_abandoned
 
 _ONE_THREAD: Final = dict.fromkeys(("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS"), "1")
 _LOOK_S = 0.05
@@ -61,9 +60,8 @@ def run_job(job: Job, out: Path, stopped: threading.Event, *, timeout_s: float |
     row = start_row(job) | {"started": started} | {name: end[name] for name in COLUMNS if name in end}
     if "document" in end:
         return row | {"status": "done"}
-    with suppress(OSError):
-        remove_abandoned(out)
-        remove_abandoned(out / job.folder)  # which is there where an earlier run of it has ended
+    for folder in (out, out / job.folder):  # the latter is there where an earlier run of it has ended
+        remove_abandoned(folder, job.folder)
     error, message = _name_failure(end, timeout_s)
     return row | {"error": error, "message": message}
 
