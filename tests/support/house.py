@@ -69,7 +69,6 @@ INNER_RANKS = {
         "turned_maps": 1,
         "yaml": 0,
         "datasets": 1,
-        "remote": 2,
         "log_statistics": 1,
         "geojson": 0,
         "edits": 1,

@@ -32,7 +32,6 @@ from gridslam.io.log_statistics import LogStatistics
 from gridslam.io.maps import write_map
 from gridslam.io.measurement import Measurement
 from gridslam.io.output import OutputFolder
-from gridslam.io.remote import find_origin
 from gridslam.io.sessions.drives import Drive, DrivenLog, SavedPiece
 from gridslam.io.sessions.session_file import SavedRun, SavedSession
 from gridslam.io.text import compute_digest
@@ -582,7 +581,7 @@ def _describe_part(begun: Beginning, log: DrivenLog) -> DrivenLog:
 
 def describe_log(log: Log, digest: str) -> DrivenLog:
     """Describe a log that was read, as a session remembers it."""
-    return DrivenLog.of(find_origin(log.path) or os.fspath(log.path), digest, log.statistics)
+    return DrivenLog.of(os.fspath(log.path), digest, log.statistics)
 
 
 def finish_mapping(

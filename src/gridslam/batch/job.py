@@ -26,7 +26,7 @@ class Job:
     arguments : dict
         JSON object.
     log : str
-        Path or URL of the log as the user gave it.
+        Path of the log as the user gave it.
     folder : str
         Name of the job's folder below OUT, unique in a batch.
     key : str

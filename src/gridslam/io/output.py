@@ -46,7 +46,7 @@ def _new_staging(parent: Path, name: str) -> TemporaryDirectory[str]:
 
 
 def remove_abandoned(folder: Path, name: str = "") -> None:
-    """Remove what killed processes have left of the file or folder NAME that they were writing, or without of all."""
+    """Remove the temporary folders of killed processes: those of NAME, or of all names."""
     for left in folder.glob(f".{escape(name) or '*'}.*.partial"):
         shutil.rmtree(left, ignore_errors=True)
 

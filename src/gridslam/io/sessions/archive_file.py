@@ -1,4 +1,4 @@
-"""Files of plain arrays and texts without pickle: NumPy's .npz; zip's checksums tell of damage."""
+"""Files of plain arrays and texts without pickle: NumPy's .npz, checked by zip's checksums."""
 
 from __future__ import annotations
 
