@@ -150,7 +150,7 @@ def test_bad_input_is_one_line_and_writes_nothing(tmp_path, call, monkeypatch, a
 def test_a_log_that_cannot_be_opened_is_a_row_and_the_others_are_mapped(logs, tmp_path, call):
     odd = (
         "x" * 300 + ".clf",
-        "http://[bad/x.clf",
+        "http://bad/x.clf",
         "o\udcff.csv",
         "a\nb",
     )
