@@ -85,15 +85,14 @@ def test_what_was_moved_stays_apart_or_is_found_and_merging_is_written(call, log
 @pytest.mark.parametrize(
     ("options", "problem"),
     [
-        (("--same-place",), "--same-place needs --continue or --prior"),
-        (("--pose", "0,0,0"), "--pose needs --continue or --prior"),
-        (("--frozen",), "--frozen needs --continue or --prior"),
+        (("--same-place",), "--same-place needs --continue"),
+        (("--pose", "0,0,0"), "--pose needs --continue"),
+        (("--frozen",), "--frozen needs --continue"),
         (("--continue", "SESSION", "--particles", "9"), "--particles contradicts --continue"),
         (("--continue", "SESSION", "--seed", "9"), "--seed contradicts --continue"),
         (("--continue", "SESSION", "--same-place", "--elsewhere"), "--same-place contradicts --elsewhere"),
         (("--continue", "none.gridslam"), "none.gridslam"),
         (("--continue", "LOG"), "expected a session of gridslam"),
-        (("--prior", "none.yaml"), "none.yaml"),
     ],
 )
 def test_what_contradicts_is_refused_and_nothing_is_written(call, logs, monday, tmp_path, options, problem):

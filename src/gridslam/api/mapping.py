@@ -65,7 +65,7 @@ class FoundAgain:
     Attributes
     ----------
     drives : tuple of str
-        Names of the earlier ones; none if the map was given.
+        Names of the earlier ones.
     stamp_ns : int, ns
         Stamp of the scan at which it was certain.
     way_m : float, m
@@ -629,7 +629,7 @@ def finish_mapping(
     if not keep_particles:
         state.closure_state = None
     stopwatch.lap("final refinement")
-    key_stamps_ns = np.zeros(state.ancestry.steps, np.int64)  # of a map that was given key scans have no stamps
+    key_stamps_ns = np.zeros(state.ancestry.steps, np.int64)
     for drive in drives:
         key_stamps_ns[np.unique(drive.scans.keys)] = drive.key_stamps_ns
     stamps_ns = np.concatenate([drive.stamps_ns for drive in drives])

@@ -49,7 +49,7 @@ class _Map(NamedTuple):
     def prepare(self, configuration: Configuration, *, frozen: bool) -> SavedPiece:
         """Give the piece as a later drive is joined with it: thinned, and frozen if that is wanted."""
         piece = self.piece
-        if frozen and piece.drives:
+        if frozen:
             bent = full_trajectories(piece.piece.poses, piece.tracked_scans) if self.poses is None else self.poses
             piece = piece.freeze(bent)
         return piece.thin(configuration.mapper)
@@ -241,17 +241,6 @@ class Session:
             newest = _Map(result.map_piece, result.tiled_map, result.poses_by_drive)
             self._maps = [newest, *(_Map.draw(piece, self.configuration) for piece in result.pieces)]
 
-    def add_map(self, grid: OccupancyGrid) -> None:
-        """Add a known map, such as one of map_server: drives are relocalized in it and extend it.
-
-        Raises ArgumentError where no cell of it is free or none is occupied.
-        """
-        from gridslam.api.prior_map import piece_of_map  # imports what localizes
-
-        piece = SavedPiece(piece_of_map(grid, self.configuration.range_max_m).freeze(), ())
-        self._maps = None
-        self._saved = replace(self._saved, pieces=(*self._saved.pieces, piece))
-
     def merge(self, *others: Session, on_progress: Callable[[], None] = lambda: None) -> FullSlam:
         """Merge other sessions into this one: pieces that show the same places become one map.
 
@@ -284,7 +273,7 @@ class Session:
         mapper = self.configuration.mapper
         merged = merge_pieces([piece.piece for piece in pieces], mapper, closure, on_progress)
         groups = [SavedPiece(group.piece, _follow([pieces[number] for number in group.members])) for group in merged]
-        groups.sort(key=lambda piece: (not piece.drives, -len(piece.piece)))
+        groups.sort(key=lambda piece: -len(piece.piece))
         largest = groups[0]
         full = refine_piece(largest.piece, largest.tracked_scans, mapper, closure, on_progress)
         first = _Map(SavedPiece(full.piece or largest.piece, largest.drives), full.tiled_map, full.poses)
@@ -366,10 +355,9 @@ def _require_different_logs(sessions: Sequence[Session]) -> None:
 
 def _order(piece: SavedPiece) -> tuple[Any, ...]:
     """Return the sort key of a piece, so that results do not depend on the order in which pieces are given."""
-    stamps = piece.stamps_ns
-    first = int(stamps[0]) if len(stamps) else -1
+    first = int(piece.stamps_ns[0])
     logs = [(log.sha256, log.path) for drive in piece.drives for log in drive.logs]
-    return not piece.drives, first, -len(piece.piece), logs, piece.piece.poses.tobytes()
+    return first, -len(piece.piece), logs, piece.piece.poses.tobytes()
 
 
 def _name_apart(pieces: Sequence[SavedPiece]) -> list[SavedPiece]:

@@ -114,10 +114,9 @@ def _summarize_pieces(result: MapResult, out: Path) -> Iterator[str]:
     """Format where the robot was relocalized, and the pieces that stay apart."""
     found = result.found_again
     if found is not None and found.stamp_ns >= (result.log.first_stamp_ns or 0):  # else in an earlier log
-        where = f"the map of {', '.join(found.drives)}" if found.drives else "the given map"
-        yield f"relocalized in {where} after {found.way_m:.1f} m"
+        yield f"relocalized in the map of {', '.join(found.drives)} after {found.way_m:.1f} m"
     elif found is None and result.pieces:
-        apart = "; ".join(", ".join(drive.name for drive in piece.drives) or "given map" for piece in result.pieces)
+        apart = "; ".join(", ".join(drive.name for drive in piece.drives) for piece in result.pieces)
         pieces = counted(len(result.pieces), "earlier piece")
         yield f"not found in {pieces} ({apart}), which stay apart: map_2.yaml, ..."
     if len(result.trajectories) > 1:

@@ -273,14 +273,8 @@ _SESSION_OPTIONS = (
         "--frozen", is_flag=True, help="What the session has mapped stays where it is; LOG is aligned with it."
     ),
     click.option("--name", metavar="NAME", help="Name of the drive, such as the robot's.  [default: that of LOG]"),
-    click.option(
-        "--prior",
-        type=PATH,
-        metavar="YAML",
-        help="Known map (map_server) to relocalize in and to extend.",
-    ),
 )
-_SESSION_FIELDS = ("save", "continued", "same_place", "elsewhere", "pose", "frozen", "name", "prior")
+_SESSION_FIELDS = ("save", "continued", "same_place", "elsewhere", "pose", "frozen", "name")
 _LOCALIZE_OPTIONS = (
     click.option("--map", "map_path", type=PATH, required=True, help="Map YAML file (map_server or nav2)."),
     click.option(

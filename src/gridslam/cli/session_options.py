@@ -13,11 +13,8 @@ from click.core import ParameterSource
 from gridslam.api.beginning import Place
 from gridslam.api.mapping import MapResult
 from gridslam.api.session import Session
-from gridslam.cli.output import warn
 from gridslam.config import Configuration
-from gridslam.errors import ArgumentError
 from gridslam.io.log import Log
-from gridslam.io.maps import read_map
 
 _OF_THE_SESSION = ("particles", "seed", "preset", "laser", "config", "assignments", "no_loop_closure")
 """Parameters of `gridslam map` that a session has already."""
@@ -40,8 +37,6 @@ class SessionOptions:
         Whether what the session has mapped stays where it is.
     name : str or None
         Of the drive.
-    prior : Path or None
-        YAML file of a known map.
     """
 
     save: Path | None
@@ -51,21 +46,19 @@ class SessionOptions:
     pose: tuple[float, float, float] | None
     frozen: bool
     name: str | None
-    prior: Path | None
 
     def check(self, context: click.Context) -> None:
         """Raise click.UsageError where options contradict each other."""
         if self.same_place and (self.elsewhere or self.pose is not None):
             raise click.UsageError("--same-place contradicts --elsewhere and --pose")
-        known = self.continued is not None or self.prior is not None
         for given, option in (
             (self.same_place, "--same-place"),
             (self.elsewhere, "--elsewhere"),
             (self.pose is not None, "--pose"),
             (self.frozen, "--frozen"),
         ):
-            if given and not known:
-                raise click.UsageError(f"{option} needs --continue or --prior")
+            if given and self.continued is None:
+                raise click.UsageError(f"{option} needs --continue")
         if self.continued is None:
             return
         for parameter in context.command.params:
@@ -77,17 +70,8 @@ class SessionOptions:
     def open(self, configuration: Configuration, seed: int, threads: int) -> Session | None:
         """Give the session that the log is added to; None if none is wanted."""
         if self.continued is not None:
-            session = Session.open(self.continued, threads=threads)
-        elif self.save is None and self.prior is None:
-            return None
-        else:
-            session = Session(configuration, seed=seed, threads=threads)
-        if self.prior is not None:
-            try:
-                session.add_map(read_map(self.prior, on_remark=lambda remark: warn(f"{self.prior}: {remark}")))
-            except ArgumentError as error:
-                raise click.ClickException(f"{self.prior}: {error}") from None
-        return session
+            return Session.open(self.continued, threads=threads)
+        return None if self.save is None else Session(configuration, seed=seed, threads=threads)
 
     def add(self, session: Session, log: Log, **options: Any) -> MapResult:  # noqa: ANN401
         """Add a log to a session."""

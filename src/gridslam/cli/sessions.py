@@ -52,7 +52,7 @@ def _name_maps(groups: list[list[dict[str, Any]]]) -> list[str]:
     """Names of maps by their drives, as `Session.names` has them."""
     names: list[str] = []
     for drives in groups:
-        names.append(choose_name(drives[0]["name"] if drives else "given", names))
+        names.append(choose_name(drives[0]["name"], names))
     return names
 
 
@@ -77,7 +77,7 @@ def _describe(content: dict[str, Any]) -> Iterator[str]:
         what = (
             f"the map, {content['maps'][0]}" if len(pieces) == 1 else f"piece {number}, {content['maps'][number - 1]}"
         )
-        yield f"{what}: {len(piece)} drive{'s' * (len(piece) != 1)}" if piece else f"{what}: a given map"
+        yield f"{what}: {len(piece)} drive{'s' * (len(piece) != 1)}"
         for drive in piece:
             for log in drive["logs"]:
                 digest = f", SHA-256 {log['sha256'][:12]}" if log["sha256"] else ""

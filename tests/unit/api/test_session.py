@@ -171,21 +171,6 @@ def test_a_session_is_not_merged_with_one_that_continues_it(second, one_day, tmp
         session.merge(gridslam.Session.open(one_day[0]))
 
 
-def test_a_given_map_is_gone_on_from(building, tmp_path):
-    """The robot is found in the map, and what it sees beyond is added to it."""
-    before, later = drive(building, 1, 200, 400), drive(building, 2, 320, 600)
-    known = gridslam.map_log(write(tmp_path, "half", before.measurements), configuration=CONFIG).map
-    session = gridslam.Session(CONFIG)
-    session.add_map(known)
-    result = session.add(write(tmp_path, "tuesday", moved(later.measurements)))
-    assert result.found_again.drives == ()
-    expected = between(before.truth[0], later.truth)
-    assert np.hypot(*(result.trajectory.poses - expected)[:, :2].T).mean() < 0.06
-    assert result.map.known.sum() > 1.02 * known.known.sum()
-    session.save(tmp_path / "prior.gridslam")
-    assert gridslam.Session.open(tmp_path / "prior.gridslam").trajectories.keys() == {"tuesday"}
-
-
 def test_bad_calls_are_refused(one_day, tmp_path):
     with pytest.raises(ArgumentError, match="place"):
         gridslam.Session(CONFIG).add(one_day[0].parent / "monday.csv", place="same place")

@@ -160,6 +160,7 @@ def test_a_changed_byte_is_found_or_changes_nothing(file, tmp_path):
         path.write_bytes(bytes(changed) if rng.integers(4) else content[:place])
         try:
             arrays = read_arrays(path, SESSION_SCHEMA, "a session")
+            read_session(path)  # which misses arrays that a changed list of contents has lost
         except InputError as error:
             found.append(str(error))
             continue

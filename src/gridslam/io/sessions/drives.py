@@ -2,14 +2,12 @@
 
 from __future__ import annotations
 
-import hashlib
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import final
 
 import numpy as np
 
-from gridslam import serialization
 from gridslam.arguments import require_instance
 from gridslam.io.log_statistics import LogStatistics
 from gridslam.mapping.occupancy_grid_mapping import OccupancyGridMapping
@@ -103,7 +101,7 @@ class SavedPiece:
     piece : MapPiece
         Key scans and graph.
     drives : tuple of Drive
-        None of a map that was given.
+        At least one.
     """
 
     piece: MapPiece
@@ -111,12 +109,12 @@ class SavedPiece:
 
     def __repr__(self) -> str:
         """Return one line."""
-        return f"SavedPiece({', '.join(drive.name for drive in self.drives) or 'a given map'}: {self.piece})"
+        return f"SavedPiece({', '.join(drive.name for drive in self.drives)}: {self.piece})"
 
     @property
     def name(self) -> str:
         """Name of its map: that of its first drive."""
-        return next((drive.name for drive in self.drives), "given")
+        return self.drives[0].name
 
     @property
     def tracked_scans(self) -> list[TrackedScans]:
@@ -126,32 +124,18 @@ class SavedPiece:
     @property
     def trajectories(self) -> dict[str, Trajectory]:
         """The trajectory of each drive by its name, in the frame of the piece's map."""
-        if not self.drives:
-            return {}
         own = self.split(full_trajectories(self.piece.poses, self.tracked_scans))
         return {drive.name: Trajectory(drive.stamps_ns, own[drive.name]) for drive in self.drives}
 
     @property
     def stamps_ns(self) -> IntArray:
         """Stamps of the scans of all drives, one drive after the other."""
-        return np.concatenate([np.zeros(0, np.int64), *(drive.stamps_ns for drive in self.drives)])
-
-    def compute_digest(self) -> str:
-        """SHA-256 of its key scans and its graph, in hexadecimal."""
-        digest = hashlib.sha256()
-        for name, values in sorted(serialization.to_arrays(self.piece).items()):
-            digest.update(f"{name} {values.shape} ".encode() + np.ascontiguousarray(values).data)
-        return digest.hexdigest()
+        return np.concatenate([drive.stamps_ns for drive in self.drives])
 
     def thin(self, mapper: OccupancyGridMapping) -> SavedPiece:
-        """Remove the parts that newer drives have seen (see `thin_piece`), and drives of which nothing remains.
-
-        A piece that began with a given map stays as it is.
-        """
-        if len(self.piece.scans) > len(self.stamps_ns):
-            return self
+        """Remove the parts that newer drives have seen (see `thin_piece`), and drives of which nothing remains."""
         thinned = thin_piece(self.piece, self.tracked_scans, mapper)
-        stamps = self.stamps_ns[thinned.scans] if self.drives else self.stamps_ns
+        stamps = self.stamps_ns[thinned.scans]
         own = np.split(stamps, np.cumsum([len(scans.keys) for scans in thinned.drives])[:-1])
         drives = (
             replace(drive, stamps_ns=stamps_ns, scans=scans)

@@ -16,6 +16,7 @@ from gridslam import __version__, serialization
 from gridslam.arguments import require_instance, require_seed
 from gridslam.config import Configuration, dumps
 from gridslam.config.configuration import loads
+from gridslam.errors import ArgumentError
 from gridslam.io.sessions.archive_file import (
     Arrays,
     dump_generator,
@@ -254,6 +255,8 @@ def _parse_head(arrays: Arrays) -> dict[str, Any]:
         require_instance(name, head[name], str)
     require_seed(head["seed"])
     run = head["run"]
+    if not all(head["pieces"]):
+        raise ArgumentError("pieces", "a drive in each", "none")
     groups = head["pieces"] if run is None else [*head["pieces"], run["earlier"], [run]]
     for drive in chain.from_iterable(groups):
         require_instance("drives", drive, dict)
@@ -283,7 +286,7 @@ def _dump_drives(part: str, drives: tuple[Drive, ...]) -> dict[str, Any]:
 
 
 def _load_drives(arrays: Arrays, heads: list[dict[str, Any]]) -> tuple[Drive, ...]:
-    """Restore drives; no drive has the key scans of a given map, which come first."""
+    """Restore drives."""
     drives = []
     for number, head in enumerate(heads):
         own = select_part(arrays, f"drives.{number}")
