@@ -138,22 +138,7 @@ class KnownMap:
         poses[:, 2] = (poses[:, 2] - 0.5) * math.tau
         return poses
 
-    def lattice(self, spacing_m: Annotated[float, Limits(1e-9, 1e9)], clearance_m: float) -> FloatArray:
-        """Places (N, 2) on free cells, one in each square of `spacing_m`, at least `clearance_m` from any obstacle.
-
-        In a square it is the free cell farthest from obstacles; of the clearance no more than `reach_m` is known.
-        """
-        rows, columns = self._find_cells(slice(None))
-        away = self._distances[rows + self._rim, columns + self._rim]
-        side = max(round(spacing_m / self.resolution_m), 1)
-        squares = (rows // side) * (self.free.shape[1] // side + 1) + columns // side
-        order = np.lexsort((-away, squares))
-        best = order[np.unique(squares[order], return_index=True)[1]]
-        chosen = best[away[best] >= min(clearance_m, self.reach_m)]
-        places = np.column_stack([columns[chosen], rows[chosen]]) + 0.5
-        return np.asarray(places * self.resolution_m + self.grid.origin, np.float64)
-
-    def _find_cells(self, which: NDArray[np.int64] | slice) -> tuple[NDArray[np.int32], NDArray[np.int32]]:
+    def _find_cells(self, which: NDArray[np.int64]) -> tuple[NDArray[np.int32], NDArray[np.int32]]:
         """Rows and columns of some of the free cells."""
         rows, columns = np.divmod(self._free_cells[which], np.int32(self.free.shape[1]))
         return rows, columns
