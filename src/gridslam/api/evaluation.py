@@ -24,7 +24,9 @@ from gridslam.types import Trajectory
 EVALUATION_SCHEMA = "gridslam.evaluation/1"
 
 
-def evaluate_trajectory(trajectory: str | Path, reference: str | Path, distance_m: float = 1.0) -> dict[str, Any]:
+def evaluate_trajectory(
+    trajectory: str | Path, reference: str | Path, distance_m: float = 1.0, *, is_part: bool = False
+) -> dict[str, Any]:
     """Score a trajectory file against relations, against another trajectory, or against its own scans.
 
     Parameters
@@ -37,6 +39,8 @@ def evaluate_trajectory(trajectory: str | Path, reference: str | Path, distance_
         pose for each of the trajectory.
     distance_m : float, m, > 0
         Path length between the pairs of poses of the RPE.
+    is_part : bool
+        Whether the trajectory is of a part of the log: only relations within its time are scored.
 
     Returns
     -------
@@ -50,7 +54,8 @@ def evaluate_trajectory(trajectory: str | Path, reference: str | Path, distance_
     InputError
         A file cannot be read, or the two have no times in common.
     """
-    scores = score_against_reference(read_trajectory(trajectory), trajectory, reference, distance_m)
+    estimate = read_trajectory(trajectory)
+    scores = score_against_reference(estimate, trajectory, reference, distance_m, is_part=is_part)
     return {"schema": EVALUATION_SCHEMA, "trajectory": str(trajectory), "reference": str(reference), **scores}
 
 

@@ -124,6 +124,18 @@ def log_options(command: _Command) -> _Command:
     return _gather(command, _LOG_OPTIONS, "options", _LOG_FIELDS, _make_log_options)
 
 
+def to_words(options: LogOptions) -> list[str]:
+    """Return the words of a command line that select the same data of a log."""
+    words = []
+    for option in click.command(log_options(lambda **given: None)).params:
+        value = getattr(options, str(option.name))
+        if value is True:
+            words.append(option.opts[0])
+        elif value is not False and value is not None:
+            words += [f"{option.opts[0]}={one}" for one in (value if option.multiple else [value])]
+    return words
+
+
 def _make_log_options(**given: Any) -> LogOptions:  # noqa: ANN401
     from gridslam.io.log import LogOptions
 
@@ -343,4 +355,5 @@ _EVALUATE_OPTIONS = (
         metavar="M",
         help="Path length between the pose pairs of the RPE, m.",
     ),
+    click.option("--part", "is_part", is_flag=True, help="Score only the relations within the time of TRAJECTORY."),
 )
