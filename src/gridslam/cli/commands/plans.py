@@ -64,7 +64,7 @@ def mask_command() -> None:
     """Apply EDITS to a map: the edited map, and masks of nav2's keep-out and speed filters.
 
     MAP is a map's YAML file, or the folder OUT of `gridslam map`. EDITS is a GeoJSON file of layers in metres of the
-    map's frame: walls, erased, rooms, keep_out, no_go and speed, as `gridslam view OUT --edit` writes it.
+    map's frame: walls, erased, rooms, keep_out, no_go and speed.
 
     Writes to OUT: map.yaml and map.pgm (edited), keepout_mask.yaml and speed_mask.yaml with their images,
     nav2_filters.yaml (parameters to paste) and edits.geojson (as they lie on this map).

@@ -10,7 +10,6 @@ from gridslam.cli.options import calls, evaluate_options, host_options, json_opt
 
 @click.command("view")
 @click.argument("out", type=PATH)
-@click.option("--edit", is_flag=True, help="Let the page edit the map: OUT/edits.geojson.")
 @host_options
 @calls("live:view")
 def view_command() -> None:
