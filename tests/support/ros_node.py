@@ -11,7 +11,6 @@ from typing import Any
 import numpy as np
 
 from gridslam.io.bags.encoder import MessageEncoder
-from gridslam.io.bags.ros_messages import Wire, wire_of_cdr
 from gridslam.io.measurement import Measurement
 from gridslam.ros import NodeCore
 from gridslam.ros.node.messages import (
@@ -94,9 +93,6 @@ class LocalTransport:
         self.refuse = refuse
         self.published = topics
         self.outputs.topics = tuple(topics)
-
-    def wire_of(self, data: bytes) -> Wire:
-        return wire_of_cdr(data)
 
     def resolve(self, topic: str) -> str:
         return f"/{topic}"

@@ -6,7 +6,6 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
-from gridslam.arguments import require_instance
 from gridslam.doctor.repair import open_repaired
 from gridslam.errors import ArgumentError, InputError
 from gridslam.evaluation.self_consistency import measure_self_consistency
@@ -55,36 +54,24 @@ def evaluate_trajectory(
         A file cannot be read, or the two have no times in common.
     """
     estimate = read_trajectory(trajectory)
-    scores = score_against_reference(estimate, trajectory, reference, distance_m, is_part=is_part)
-    return {"schema": EVALUATION_SCHEMA, "trajectory": str(trajectory), "reference": str(reference), **scores}
-
-
-def score_against_reference(
-    estimate: Trajectory,
-    source: str | Path,
-    reference: str | Path,
-    distance_m: float = 1.0,
-    *,
-    is_part: bool = False,
-) -> dict[str, Any]:
-    """Scores of a trajectory, which messages name `source`, against a file, as `evaluate_trajectory` computes them.
-
-    Of a part of the log only relations within its time count.
-    """
-    require_instance("estimate", estimate, Trajectory)
     try:
-        if Path(reference).suffix == ".relations":
-            relations = read_relations(reference)
-            relations = clip_relations(relations, estimate) if is_part else relations
-            return {"relations": asdict(relation_errors(estimate, relations))}
-        if is_log(reference):
-            scans = (scan for _, scan in open_repaired(reference, None, "needed"))
-            return {"self_consistency": asdict(measure_self_consistency(estimate, scans))}
-        return score_against_truth(estimate, read_trajectory(reference, estimate.stamps_ns), distance_m)
+        scores = _score(estimate, reference, distance_m, is_part)
     except ArgumentError as error:
         if error.argument == "distance_m":
             raise
-        raise InputError(source, f"cannot be compared with {reference}: {error}") from None
+        raise InputError(trajectory, f"cannot be compared with {reference}: {error}") from None
+    return {"schema": EVALUATION_SCHEMA, "trajectory": str(trajectory), "reference": str(reference), **scores}
+
+
+def _score(estimate: Trajectory, reference: str | Path, distance_m: float, is_part: bool) -> dict[str, Any]:
+    if Path(reference).suffix == ".relations":
+        relations = read_relations(reference)
+        relations = clip_relations(relations, estimate) if is_part else relations
+        return {"relations": asdict(relation_errors(estimate, relations))}
+    if is_log(reference):
+        scans = (scan for _, scan in open_repaired(reference, None, "needed"))
+        return {"self_consistency": asdict(measure_self_consistency(estimate, scans))}
+    return score_against_truth(estimate, read_trajectory(reference, estimate.stamps_ns), distance_m)
 
 
 def score_against_truth(estimate: Trajectory, truth: Trajectory, distance_m: float = 1.0) -> dict[str, Any]:

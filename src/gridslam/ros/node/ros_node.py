@@ -12,7 +12,7 @@ import numpy as np
 
 from gridslam.api.mapping import MapResult
 from gridslam.errors import ArgumentError, GridslamError, OutputError
-from gridslam.io.bags.ros_messages import MessageError, Wire, decode_scan, decode_transforms
+from gridslam.io.bags.ros_messages import MessageError, Wire, decode_scan, decode_transforms, wire_of_cdr, wire_of_ros1
 from gridslam.io.output import OutputFolder
 from gridslam.pipeline import describe_error
 from gridslam.ros.node.core import NodeCore
@@ -179,10 +179,11 @@ class RosNode:
     def _subscribe(self, topic: str, kind: str, handle: Callable[[bytes, Wire], None], **qos: Any) -> None:  # noqa: ANN401
         """Subscribe, and warn of bytes that are not a valid message."""
         name = self._transport.resolve(topic)
+        wire_of = wire_of_ros1 if self._transport.encoder.is_ros1 else wire_of_cdr
 
         def on_message(data: bytes) -> None:
             try:
-                handle(data, self._transport.wire_of(data))
+                handle(data, wire_of(data))
             except Exception as error:  # the transport's thread goes on, whatever the bytes were
                 problem = str(error) if isinstance(error, MessageError) else describe_error(error)
                 self.core.refuse_message("message", f"{name}: {problem}")

@@ -11,7 +11,6 @@ from typing import Any, Final, Protocol, TypeAlias, final
 
 from gridslam.errors import ConfigurationError
 from gridslam.io.bags.encoder import MessageEncoder
-from gridslam.io.bags.ros_messages import Wire
 from gridslam.ros.node.core import NodeCore
 from gridslam.ros.node.messages import Outputs
 
@@ -108,10 +107,6 @@ class Transport(Protocol):
 
         `refuse` is called with kind and problem of what cannot be received.
         """
-
-    def wire_of(self, data: bytes) -> Wire:
-        """Return the encoding of a message; raises MessageError if it has none."""
-        ...
 
     def resolve(self, topic: str) -> str:
         """Return the full name of a topic or service, after remapping."""

@@ -16,7 +16,7 @@ from typing import Any, final
 
 from gridslam.errors import ConfigurationError, GridslamError
 from gridslam.io.bags.encoder import MessageEncoder
-from gridslam.io.bags.ros_messages import Wire, kind_of, wire_of_ros1
+from gridslam.io.bags.ros_messages import kind_of
 from gridslam.ros.node.messages import Level, Outputs
 from gridslam.ros.node.outputs import EncodedOutputs
 from gridslam.ros.node.parameters import GMAPPING_DEFAULTS, NODE_DEFAULTS, node_parameters
@@ -54,10 +54,6 @@ class Ros1Transport:
         for topic, kind in topics.items():
             options = {"queue_size": 1, "latch": True} if topic in LATCHED else {"queue_size": 10}
             self._publishers[topic] = self._rospy.Publisher(_name(topic), _import(kind), **options)
-
-    def wire_of(self, data: bytes) -> Wire:
-        """Return the encoding of a message."""
-        return wire_of_ros1(data)
 
     def resolve(self, topic: str) -> str:
         """Return the full name of a topic, after remapping."""

@@ -12,7 +12,6 @@ from typing import Any, final
 
 from gridslam.errors import ConfigurationError
 from gridslam.io.bags.encoder import MessageEncoder
-from gridslam.io.bags.ros_messages import Wire, wire_of_cdr
 from gridslam.pipeline import describe_error
 from gridslam.ros.node.messages import Level, Outputs
 from gridslam.ros.node.outputs import EncodedOutputs
@@ -58,10 +57,6 @@ class RclpyTransport:
         for topic, kind in topics.items():
             self._add_publisher(topic, kind)
         self.outputs.topics = tuple(self._publishers)
-
-    def wire_of(self, data: bytes) -> Wire:
-        """Return the encoding of a message; raises MessageError if it has none."""
-        return wire_of_cdr(data)
 
     def resolve(self, topic: str) -> str:
         """Return the full name of a topic, after remapping."""
