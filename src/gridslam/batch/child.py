@@ -93,7 +93,7 @@ def start_row(job: Job) -> dict[str, Any]:
 
 
 def _read_document(end: _End) -> dict[str, Any] | None:
-    """Return what a child has printed; None where it has failed, or memory was short for a part of its result."""
+    """Return the printed document; None if the child failed, or lacked memory for a part of its result."""
     if end.status not in _DONE:
         return None
     document: dict[str, Any] = json.loads(end.printed)

@@ -119,7 +119,7 @@ class _Maker:
         }
 
     def prepare(self, entry: Entry) -> tuple[tuple[str, ...], dict[str, Any]]:
-        """Return the options of a log and what they come to; raises InputError for an unknown column."""
+        """Return the options of a log and their values; raises InputError for an unknown column."""
         if self._command == "doctor" and entry.reference is not None:
             raise click.ClickException("doctor has no use for a reference")
         words = tuple(word for name, value in entry.options.items() for word in self._to_words(entry, name, value))
