@@ -72,7 +72,7 @@ def mask_command(**options: Any) -> None:  # noqa: ANN401
     map's frame: walls, erased, rooms, keep_out, no_go and speed, as `gridslam view OUT --edit` writes it.
 
     Writes to OUT: map.yaml and map.pgm (edited), keepout_mask.yaml and speed_mask.yaml with their images,
-    nav2_filters.yaml (parameters to paste) and edits.geojson (as they lie on this map).
+    and edits.geojson (as they lie on this map).
     """
     from gridslam.cli.mask import mask_to_folder
 
