@@ -37,7 +37,7 @@ def run_map(arguments: Mapping[str, Any]) -> dict[str, Any]:
         The content of run.json; with a reference, its scores under ``evaluation``.
     """
     with _open_output(arguments, MapResult.all_names()) as folder:
-        log = _open(arguments, is_mapped=True)
+        log = _open(arguments)
         result = map_log(
             log,
             configuration=replace_parameters(Configuration(), arguments["configuration"]),
@@ -103,10 +103,10 @@ def _write(
     return document
 
 
-def _open(arguments: Mapping[str, Any], *, is_mapped: bool = False) -> Log:
+def _open(arguments: Mapping[str, Any]) -> Log:
     """Open the log; faults at its beginning go to standard error, and so to the row's output."""
     options = _read_options(arguments)
-    return check_log(open_log(arguments["log"], options), options, _warn, is_mapped=is_mapped)
+    return check_log(open_log(arguments["log"], options), options, _warn)
 
 
 def _read_options(arguments: Mapping[str, Any]) -> LogOptions:
