@@ -67,7 +67,7 @@ def mask_command() -> None:
     map's frame: walls, erased, rooms, keep_out, no_go and speed.
 
     Writes to OUT: map.yaml and map.pgm (edited), keepout_mask.yaml and speed_mask.yaml with their images,
-    nav2_filters.yaml (parameters to paste) and edits.geojson (as they lie on this map).
+    and edits.geojson (as they lie on this map).
     """
 
 
