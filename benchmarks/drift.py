@@ -16,15 +16,13 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from gridslam import open_log
-from gridslam.config import Configuration, build
+from gridslam.config import Configuration
 from gridslam.geometry.se2 import between, compose
-from gridslam.observers import TrajectoryRecorder
-from gridslam.pipeline import run
-from gridslam.slam.full_slam.full_slam import full_slam
 from gridslam.slam.loop_closure.key_graph import KeyGraph, position_sigmas
 from gridslam.types import FloatArray
 from measure import write_document
 from report import table
+from simulated import map_drive
 
 _NEAR_M = 8.0
 _APART_M = 40.0
@@ -66,10 +64,7 @@ def judge(graph: KeyGraph, truth: FloatArray) -> Drift:
 
 
 def _map(log: Path) -> Drift:
-    config = Configuration()
-    recorder = TrajectoryRecorder()
-    state = run(list(open_log(log)), build(config), rng=np.random.default_rng(0), observers=[recorder])
-    full = full_slam(state, [recorder.tracked_scans()], config.mapper, config.loop_closure)
+    _, full = map_drive(open_log(log), Configuration(), 0)
     assert full.piece is not None
     return judge(full.piece.graph, full.piece.poses)
 

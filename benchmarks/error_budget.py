@@ -17,7 +17,6 @@ from __future__ import annotations
 
 import argparse
 import math
-import sys
 from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import Any
@@ -25,8 +24,6 @@ from unittest.mock import patch
 
 import numpy as np
 
-sys.path.insert(0, str(Path(__file__).parent))
-from covariances import thin
 from gridslam.config import Configuration, build
 from gridslam.evaluation import absolute_errors, relative_errors_by_distance
 from gridslam.geometry.se2 import adjoint, between, compose
@@ -42,7 +39,7 @@ from gridslam.slam.grid_fastslam.smoothed_pose import SmoothedPose
 from gridslam.tracking.tracker import Tracker
 from gridslam.types import FloatArray, Trajectory
 from measure import write_document
-from simulated import map_drive
+from simulated import map_drive, thin
 
 WORLDS = ("demo", "rooms", "loop", "hall", "random")
 NOISE_M = 0.01
@@ -191,7 +188,7 @@ def judge_laser(name: str, world: str, seed: int) -> dict[str, list[float]]:
     log = simulated_drive(world, seed, lidar)
     measurements, truth = list(log.measurements), log.truth
     if "every metre" in name:
-        kept = thin(truth.poses)
+        kept = thin(truth.poses, 1.0, 0.5)
         measurements = [measurements[k] for k in kept]
         truth = Trajectory(truth.stamps_ns[kept], truth.poses[kept])
     reports, full = map_drive(measurements, Configuration(), 0)

@@ -26,6 +26,7 @@ NAMES = "random", "random", "rooms", "demo"
 FIRST_SEED = 100  # lower ones chose the parameters
 SCANS = 900
 WRONG_M = 0.5
+COUNTS = "inside", "outside", "found_inside", "found_outside", "wrong"
 
 
 def half_mapped(name: str, seed: int) -> tuple[KnownMap, SimulatedLog]:
@@ -52,7 +53,7 @@ def localize_from(known: KnownMap, drive: SimulatedLog, start: int, seed: int) -
     """Localize globally from a scan on; count scans inside and outside, those found there, and those found wrongly."""
     mcl, rng = MonteCarloLocalization(known), np.random.default_rng(seed)
     state = mcl.init()
-    counts = dict.fromkeys(("inside", "outside", "found_inside", "found_outside", "wrong"), 0)
+    counts = dict.fromkeys(COUNTS, 0)
     for (odometry, scan), truth in zip(
         drive.measurements[start : start + SCANS], drive.truth.poses[start : start + SCANS], strict=True
     ):
@@ -82,15 +83,13 @@ def main(arguments: Sequence[str] | None = None) -> int:
         for start in starts:
             rows.append({"building": name, "seed": seed, "start": start, **localize_from(known, drive, start, start)})
         print(rows[-2:], flush=True)
-    sums = {
-        key: sum(row[key] for row in rows) for key in ("inside", "outside", "found_inside", "found_outside", "wrong")
-    }
+    inside, outside, found_inside, found_outside, wrong = (sum(row[key] for row in rows) for key in COUNTS)
     total = {
         "starts": len(rows),
         "wrong_starts": sum(row["wrong"] > 0 for row in rows),
-        "wrong_of_found": sums["wrong"] / max(sums["found_inside"] + sums["found_outside"], 1),
-        "found_of_inside": sums["found_inside"] / sums["inside"],
-        "found_of_outside": sums["found_outside"] / max(sums["outside"], 1),
+        "wrong_of_found": wrong / max(found_inside + found_outside, 1),
+        "found_of_inside": found_inside / inside,
+        "found_of_outside": found_outside / max(outside, 1),
     }
     print(total)
     if given.out is not None:
