@@ -10,10 +10,8 @@ covariances were set on the seeds 1 to 12.
 
 from __future__ import annotations
 
-import argparse
 import zlib
 from collections.abc import Sequence
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -24,7 +22,7 @@ from gridslam.evaluation import nees
 from gridslam.geometry.se2 import between
 from gridslam.io.measurement import Measurement
 from gridslam.sim import LidarConfig, OdometryNoise, RobotConfig, simulate
-from measure import write_document
+from measure import make_parser, write_document
 from report import table
 from simulated import map_drive, thin
 
@@ -78,11 +76,10 @@ def judge(kind: str, seed: int, configuration: Configuration | None = None) -> d
 
 def main(arguments: Sequence[str] | None = None) -> None:
     """Print a row for each kind, and write all drives."""
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser = make_parser(__doc__)
     parser.add_argument("kinds", nargs="*", metavar="KIND", help=f"{', '.join(WORLDS)} [all of them]")
     parser.add_argument("--seeds", type=int, default=20, help="drives of each kind [20]")
     parser.add_argument("--first", type=int, default=101, help="first seed [101]")
-    parser.add_argument("--out", type=Path)
     parser.add_argument("--set", action="append", default=[], metavar="NAME=VALUE", help="of the simulated drives")
     given = parser.parse_args(arguments)
     configuration = override(Configuration(), *given.set)
@@ -94,10 +91,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
         rows.append([kind, *(f"{np.mean([drive[name] for drive in of_kind]):.3g}" for name in columns)])
         print(*rows[-1], sep="  ", flush=True)
     print(text := table(["kind", *columns], rows))
-    if given.out is not None:
-        how = f"simulated drives, seeds {given.first} to {given.first + given.seeds - 1}"
-        how += "".join(f", {assignment}" for assignment in given.set)
-        write_document(given.out, how, table=text.splitlines(), drives=drives)
+    write_document(given.out, table=text.splitlines(), drives=drives)
 
 
 if __name__ == "__main__":

@@ -15,10 +15,8 @@ beside the bound of the joint problem, which is what the noise of ranges and odo
 
 from __future__ import annotations
 
-import argparse
 import math
 from collections.abc import Iterable, Sequence
-from pathlib import Path
 from typing import Any
 from unittest.mock import patch
 
@@ -38,7 +36,7 @@ from gridslam.slam.full_slam.surface_adjustment import LINE_REACH_M, select_pair
 from gridslam.slam.grid_fastslam.smoothed_pose import SmoothedPose
 from gridslam.tracking.tracker import Tracker
 from gridslam.types import FloatArray, Trajectory
-from measure import write_document
+from measure import make_parser, write_document
 from simulated import map_drive, thin
 
 WORLDS = ("demo", "rooms", "loop", "hall", "random")
@@ -207,11 +205,10 @@ def judge_laser(name: str, world: str, seed: int) -> dict[str, list[float]]:
 
 def main() -> None:
     """Print a table, and write it."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = make_parser(__doc__)
     parser.add_argument("worlds", nargs="*", default=WORLDS)
     parser.add_argument("--seeds", type=int, default=2)
     parser.add_argument("--first", type=int, default=201)
-    parser.add_argument("--out", type=Path)
     parser.add_argument("--lasers", action="store_true")
     parser.add_argument("--only", nargs="*", default=LASERS)
     options = parser.parse_args()
@@ -228,9 +225,7 @@ def main() -> None:
             rows.append({"laser" if world else "world": kind, "stage": stage} | dict(zip(names, values, strict=False)))
             far = "".join(f"{value:.2f}" for value in values[4:] if value)
             print(f"| {kind} | {stage} | {values[0]:.4f}, {values[1]:.3f} | {values[2]:.4f}, {values[3]:.3f} | {far} |")
-    if options.out is not None:
-        how = "python benchmarks/error_budget.py" + " --lasers" * options.lasers
-        write_document(options.out, how, seeds=options.seeds, rows=rows)
+    write_document(options.out, seeds=options.seeds, rows=rows)
 
 
 if __name__ == "__main__":

@@ -6,7 +6,6 @@ number beside their own result at full rate. Errors are the root mean square of 
 
 from __future__ import annotations
 
-import argparse
 import gzip
 import tempfile
 from collections.abc import Iterator, Sequence
@@ -20,7 +19,7 @@ from gridslam.evaluation import absolute_errors
 from gridslam.io.carmen.writer import write_carmen
 from gridslam.io.measurement import Measurement
 from gridslam.types import FloatArray
-from measure import RESULTS, write_document
+from measure import RESULTS, make_parser, write_document
 from report import table
 from simulated import thin
 
@@ -87,10 +86,10 @@ def measure(case: Case, seeds: int) -> dict[str, float]:
 
 def main(arguments: Sequence[str] | None = None) -> dict[str, Any]:
     """Print the table and write the figures."""
-    parser = argparse.ArgumentParser(description="Errors on logs whose scans are far apart.")
+    parser = make_parser(__doc__)
     parser.add_argument("data", type=Path, help="folder of logs")
     parser.add_argument("--seeds", type=int, default=3)
-    parser.add_argument("--out", type=Path, default=RESULTS / "far_apart.json")
+    parser.set_defaults(out=RESULTS / "far_apart.json")
     given = parser.parse_args(arguments)
     with tempfile.TemporaryDirectory() as folder:
         found = {case.name: measure(case, given.seeds) for case in list_cases(given.data, Path(folder))}
@@ -99,7 +98,7 @@ def main(arguments: Sequence[str] | None = None) -> dict[str, Any]:
         for name, errors in found.items()
     ]
     print(table(["log", "final, m", "online, m"], rows))
-    write_document(given.out, f"python benchmarks/far_apart.py DATA --seeds {given.seeds}", logs=found)
+    write_document(given.out, logs=found)
     return found
 
 

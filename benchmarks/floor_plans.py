@@ -9,10 +9,8 @@ one of the plan, and one of the plan is right where 80 % of it lies within 10 cm
 
 from __future__ import annotations
 
-import argparse
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -24,7 +22,7 @@ from gridslam.geometry import se2
 from gridslam.plan import FloorPlan, SurfacePoints, make_plan, points_of_scans
 from gridslam.sim import LidarConfig, OdometryNoise, RobotConfig, SimulatedLog, World, make_world, simulate
 from gridslam.types import FloatArray, OccupancyGrid
-from measure import write_document
+from measure import make_parser, write_document
 from simulated import map_drive
 
 BUILDINGS = (
@@ -150,9 +148,8 @@ def failures(summary: dict[str, float]) -> list[str]:
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Print and write the figures; gives 1 where a target is missed, or a worse variant misses none."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = make_parser(__doc__)
     parser.add_argument("buildings", nargs="*", metavar="WORLD:SEED")
-    parser.add_argument("--out", type=Path)
     given = parser.parse_args(arguments)
     groups = {"20 buildings": BUILDINGS, "10 more, not used to choose anything": UNSEEN}
     if given.buildings:
@@ -169,9 +166,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
             tables[f"{group}: {variant}"] = {"summary": summary, "missed": failures(summary)}
             print(group, variant, tables[f"{group}: {variant}"])
         tables[f"{group}: end points"]["rows"] = rows["end points"]
-    if given.out is not None:
-        how = f"python benchmarks/floor_plans.py --out benchmarks/results/{given.out.name}"
-        write_document(given.out, how, targets={name: least for name, (least, _) in TARGETS.items()}, tables=tables)
+    write_document(given.out, targets={name: least for name, (least, _) in TARGETS.items()}, tables=tables)
     wrong = [name for name, table in tables.items() if bool(table["missed"]) != name.endswith(("noisy", "undivided"))]
     wrong = [name for name in wrong if not name.endswith("cells")]
     print("not as they must be:", wrong)

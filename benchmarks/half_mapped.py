@@ -9,9 +9,7 @@ wrong if any scan is. --inside: with the certainty that the robot is inside, as 
 
 from __future__ import annotations
 
-import argparse
 from collections.abc import Sequence
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -20,7 +18,7 @@ from gridslam.geometry.se2 import between
 from gridslam.localization import KnownMap, MonteCarloLocalization, place_verification
 from gridslam.mapping import OccupancyGridMapping
 from gridslam.sim import LidarConfig, OdometryNoise, RobotConfig, SimulatedLog, make_world, simulate, vary_route
-from measure import write_document
+from measure import make_parser, write_document
 
 NAMES = "random", "random", "rooms", "demo"
 FIRST_SEED = 100  # lower ones chose the parameters
@@ -67,9 +65,8 @@ def localize_from(known: KnownMap, drive: SimulatedLog, start: int, seed: int) -
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Print and write the counts; gives 1 where a robot was found wrongly."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = make_parser(__doc__)
     parser.add_argument("buildings", nargs="?", type=int, default=50)
-    parser.add_argument("--out", type=Path)
     parser.add_argument("--inside", action="store_true")
     given = parser.parse_args(arguments)
     if given.inside:
@@ -92,9 +89,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         "found_of_outside": found_outside / max(outside, 1),
     }
     print(total)
-    if given.out is not None:
-        how = f"python benchmarks/half_mapped.py --out benchmarks/results/{given.out.name}"
-        write_document(given.out, how, targets={"wrong_starts": 0}, total=total, rows=rows)
+    write_document(given.out, targets={"wrong_starts": 0}, total=total, rows=rows)
     return int(total["wrong_starts"] > 0)
 
 

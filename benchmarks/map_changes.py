@@ -9,11 +9,9 @@ quarter of the outline was seen that day, and which was seen to be free on the o
 
 from __future__ import annotations
 
-import argparse
 from collections.abc import Sequence
 from dataclasses import replace
 from functools import cache
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -29,7 +27,7 @@ from gridslam.plan.changes import Changes, find_changes
 from gridslam.sim import World, make_world
 from gridslam.sim.floor_plan import clearance
 from gridslam.types import FloatArray
-from measure import write_document
+from measure import make_parser, write_document
 
 SEEDS = tuple(range(8))
 LANE_M = 0.6
@@ -134,9 +132,8 @@ def summarize(rows: Sequence[dict[str, Any]]) -> dict[str, float]:
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Print and write the figures; gives 1 where a target is missed."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = make_parser(__doc__)
     parser.add_argument("seeds", nargs="*", type=int)
-    parser.add_argument("--out", type=Path)
     given = parser.parse_args(arguments)
     rows: dict[str, list[dict[str, Any]]] = {"": [], "shifted": []}
     for seed in given.seeds or SEEDS:
@@ -146,9 +143,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         print(seed, rows[""][-1], flush=True)
     summaries = {worse or "as found": summarize(own) for worse, own in rows.items()}
     print(summaries)
-    if given.out is not None:
-        how = f"python benchmarks/map_changes.py --out benchmarks/results/{given.out.name}"
-        write_document(given.out, how, targets=TARGETS, summaries=summaries, rows=rows[""])
+    write_document(given.out, targets=TARGETS, summaries=summaries, rows=rows[""])
     return int(any(summaries["as found"][name] < least for name, least in TARGETS.items()))
 
 

@@ -7,8 +7,6 @@ proves nothing. How many revisits there are, and which, is decided by the truth 
 from __future__ import annotations
 
 import argparse
-import hashlib
-import os
 from collections.abc import Iterable, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from pathlib import Path
@@ -18,9 +16,8 @@ import numpy as np
 
 from closure_worlds import LARGE
 from gridslam.config import Configuration, override
-from gridslam.types import FloatArray
 from measure import provenance
-from recognition_drives import HONEST, KINDS, Drive, certain_revisits, driven_m, revisited_way, simulated
+from recognition_drives import HONEST, KINDS, certain_revisits, driven_m, revisited_way, simulated
 from recognition_scores import Score, judge, mapped, off_m, rmse
 from report import Report, table
 
@@ -30,44 +27,15 @@ LOOSE = tuple(
 )
 """A gate that lets through what it should not."""
 
-_RULES = "1"
-"""Change it with what makes a revisit certain: cached ones are not believed then."""
 _OFF_M = 1.0
 
 
-def revisits(drive: Drive, folder: Path | None) -> FloatArray:
-    """Certain revisits of a drive, kept in a folder: they depend on nothing that a mapper does.
-
-    Where the laser was never blind they are all of the way that was driven before, in pieces of 10 m.
-    """
-    if not len(drive.dark):
-        return revisited_way(drive)
-    if folder is None:
-        return certain_revisits(drive)
-    digest = hashlib.sha256(_RULES.encode() + drive.truth.tobytes() + drive.dark.tobytes()).hexdigest()[:16]
-    path = folder / f"revisits-{drive.name.replace(' ', '-')}-{digest}.npy"
-    if path.is_file():
-        return np.asarray(np.load(path))
-    found = certain_revisits(drive)
-    path.parent.mkdir(parents=True, exist_ok=True)
-    beside = path.with_suffix(f".{os.getpid()}.npy")
-    np.save(beside, found)
-    beside.replace(path)  # other workers see all of it or nothing
-    return found
-
-
 class _Task(NamedTuple):
-    """A simulated drive that a worker maps, with changes of parameters, and the folder of what is kept."""
+    """A simulated drive that a worker maps, with changes of parameters."""
 
     kind: str
     seed: int
     changes: Sequence[str]
-    cache: Path | None
-
-    @property
-    def name(self) -> str:
-        """Name of the drive."""
-        return f"{self.kind} {self.seed}"
 
 
 def _scored(task: _Task) -> Score:
@@ -75,7 +43,7 @@ def _scored(task: _Task) -> Score:
     alone = override(config, "loop_closure=false")
     drive = simulated(task.kind, task.seed)
     log = [drive.everything[k] for k in drive.lit.tolist()]
-    arcs = revisits(drive, task.cache)
+    arcs = certain_revisits(drive) if len(drive.dark) else revisited_way(drive)
     truth, driven = drive.truth[drive.lit], driven_m(drive.truth)[drive.lit]
     said, filtered = mapped(log, config), mapped(log, alone)
     off, off_alone = off_m(truth, said.full), off_m(truth, filtered.full)
@@ -117,7 +85,7 @@ def _simulated_section(report: Report, title: str, tasks: Sequence[_Task], score
     by_kind: dict[str, list[Score]] = {task.kind: [] for task in tasks}
     for task, score in zip(tasks, scores, strict=True):
         by_kind[task.kind].append(score)
-        print(task.name, *(f"{cell:.3g}" for cell in score), sep="  ", flush=True)
+        print(task.kind, task.seed, *(f"{cell:.3g}" for cell in score), sep="  ", flush=True)
     totals: dict[str, list[Score]] = {"honest": [], "deceptive": []}
     for kind, found in by_kind.items():
         totals["honest" if kind in (*HONEST, *LARGE) else "deceptive"] += found
@@ -130,7 +98,6 @@ def main(arguments: Sequence[str] | None = None) -> Report:
     parser = argparse.ArgumentParser(description="Recall and precision of loop closure where it is needed.")
     parser.add_argument("--kinds", nargs="+", choices=[*KINDS, *LARGE], default=KINDS, help="[all but campus, grounds]")
     parser.add_argument("--drives", type=int, default=50, help="drives of each kind [50]")
-    parser.add_argument("--cache", type=Path, help="keeps certain revisits from one run to the next")
     parser.add_argument("--workers", type=int, default=1, help="processes [1]")
     parser.add_argument("--set", action="append", default=[], metavar="NAME=VALUE", help="a parameter of all runs")
     parser.add_argument("--loose", action="store_true", help="again with a gate that lets through what it should not")
@@ -145,10 +112,9 @@ def main(arguments: Sequence[str] | None = None) -> Report:
     print(machine)
     with ProcessPoolExecutor(given.workers) as pool:
         for title, changes in settings.items():
-            tasks = [_Task(kind, seed, changes, given.cache) for kind in given.kinds for seed in range(given.drives)]
+            tasks = [_Task(kind, seed, changes) for kind in given.kinds for seed in range(given.drives)]
             _simulated_section(report, f"Simulated drives: {title}", tasks, pool.map(_scored, tasks))
     if given.out is not None:
-        given.out.parent.mkdir(parents=True, exist_ok=True)
         given.out.write_text("\n\n".join(["# Recognition", machine, *report.sections]) + "\n", encoding="utf-8")
     return report
 
