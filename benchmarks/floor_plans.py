@@ -73,10 +73,10 @@ def map_building(world: str, seed: int) -> Building:
     return drive(make_world(world, rng), seed, rng)
 
 
-def drive(world: World, seed: int, rng: np.random.Generator) -> Building:
+def drive(world: World, seed: int, rng: np.random.Generator, configuration: Configuration | None = None) -> Building:
     """Simulate a drive, and map it."""
     log = simulate(world, RobotConfig(), OdometryNoise(), LidarConfig(), rng)
-    _, full = map_drive(log.measurements, Configuration(), seed)
+    _, full = map_drive(log.measurements, configuration or Configuration(), seed)
     return Building(f"{world.name}:{seed}", log, full.poses, full.tiled_map.whole())
 
 

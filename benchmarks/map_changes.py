@@ -19,6 +19,7 @@ from scipy.spatial import cKDTree
 
 from floor_plan_truth import CELL_M, Seen, look, read_truth
 from floor_plans import Building, drive
+from gridslam.config import Configuration
 from gridslam.evaluation.trajectory import align
 from gridslam.geometry import se2
 from gridslam.plan import points_of_scans
@@ -111,14 +112,14 @@ def _see(day: Building) -> Seen:
     return look(read_truth(day.log.walls), np.array(origins), list(ends))
 
 
-def make_days(seed: int) -> tuple[list[Building], list[FloatArray]]:
+def make_days(seed: int, config: Configuration | None = None) -> tuple[list[Building], list[FloatArray]]:
     """Two days in a building, and the outlines of what was moved, on the first and on the second."""
     rng = np.random.default_rng(1000 + seed)
     world = make_world("random", np.random.default_rng(seed))
     later, before, after = move_furniture(world, rng)
     later = replace(later, route=later.route[::-1].copy())
-    days = [drive(day, number, np.random.default_rng(number)) for day, number in ((world, seed), (later, seed + 500))]
-    return days, [before, after]
+    days = (world, seed), (later, seed + 500)
+    return [drive(day, k, np.random.default_rng(k), config) for day, k in days], [before, after]
 
 
 def summarize(rows: Sequence[dict[str, Any]]) -> dict[str, float]:

@@ -27,8 +27,6 @@ LOOSE = tuple(
 )
 """A gate that lets through what it should not."""
 
-_OFF_M = 1.0
-
 
 class _Task(NamedTuple):
     """A simulated drive that a worker maps, with changes of parameters."""
@@ -73,7 +71,7 @@ def _row(name: str, scores: Sequence[Score]) -> dict[str, Any]:
         "false by search": sum(s.false_searched for s in scores),
         "drives with false": sum(s.false > 0 for s in scores),
         "drives with right": sum(s.right > 0 for s in scores),
-        "filter off > 1 m": f"{np.mean([s.filter_off_m > _OFF_M for s in scores]):.0%}",
+        "filter off > 1 m": f"{np.mean([s.filter_off_m > 1.0 for s in scores]):.0%}",
         **{f"{it} m": float(np.median([getattr(s, f"{it}_m") for s in scores])) for it in ("full", "online", "filter")},
         "worst full m": max(s.full_off_m for s in scores),
         "CPU s": float(np.mean([s.cpu_s for s in scores])),
