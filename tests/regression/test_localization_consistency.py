@@ -19,7 +19,7 @@ from support.global_localization import Building, GlobalRun
 from support.localization_consistency import ALIKE, WORLDS, buildings, describe_covariances, describe_finds
 from support.localization_world import RandomWalk, drive, flat_map
 
-RUNS = 20
+RUNS = 10
 FIRST = np.diag([0.01, 0.01, 0.0025])
 
 
@@ -29,7 +29,7 @@ def known():
 
 
 def test_nees_of_the_belief_with_the_simulators_true_noise(known):
-    """Mean NEES of 20 runs between 0.5 and 2 times its expectation of 3, of the particles' mean.
+    """Mean NEES of 10 runs between 0.5 and 2 times its expectation of 3, of the particles' mean.
 
     The noise of odometry and of a range is the simulator's own (1 cm); the map is of 5 cm cells, whose rounding the
     filter adds, and the beams are tempered, since they share it: less than by default, as this map has no other errors.
@@ -63,7 +63,7 @@ def test_nees_of_the_matched_pose():
         tracked = [building.track(300 + run, configuration=parts) for run in range(runs)]
         return float(GlobalRun.joined(tracked).nees.mean())
 
-    assert 1.5 < average(MonteCarloConfiguration(), 3) < 5
+    assert 1.5 < average(MonteCarloConfiguration(), 2) < 5
     assert average(MonteCarloConfiguration(matcher=GaussNewton(max_iterations=0)), 1) < 1.5
     assert average(MonteCarloConfiguration(match_covariance=MatchCovariance(patch_m=0.01, residual_factor=0)), 1) > 5
 
