@@ -52,6 +52,11 @@ _STEP_M = 0.1  # of odometry: shorter ways have no direction
 _CONFUSED = 0.02  # tracks lost per scan, from which on the laser is no reference
 _UNRELATED = 0.5  # correlation of the turns
 _TURNED_RAD = 1.2  # one corner suffices
+_DEGREES = math.degrees(1.0)
+_FEWEST_TURNS = 12  # from scan to scan, of more than
+_LEAST_TURN_RAD = 0.01  # which is most of a rad if it is read as degrees
+_AGREE = 0.6  # mean cosine of differences of turns
+_HARDLY_AGREE = 0.8
 
 _CAUCHY = 2.385  # 95 % efficient for normal noise
 _PASSES = 15
@@ -148,6 +153,8 @@ class MotionCalibration:
         What of the odometry has the wrong sign, because its path contradicts its headings; all else is as without it.
     yaw_improves : bool
         Whether the ways agree with the odometry by `yaw_rad`, and do not as declared.
+    headings_in_degrees : bool
+        The headings of the odometry, read as rad, turn 57.3 times as far as the laser, to either side.
     is_reliable : bool
         Whether the laser could be followed: its track was hardly ever lost.
     """
@@ -165,6 +172,7 @@ class MotionCalibration:
     odometry_rad: float
     mirrored: Mirrored = ""
     yaw_improves: bool = False
+    headings_in_degrees: bool = False
     is_reliable: bool = True
 
     @property
@@ -208,8 +216,25 @@ def calibrate(motion: LaserMotion) -> MotionCalibration:
         float(np.abs(ways.odometry[:, 2]).sum()),
         mirrored,
         _improves(reported, predicted, yaw.value),
+        are_degrees(*(np.diff(poses[:, 2])[np.diff(motion.tracks) == 0] for poses in (motion.odometry, motion.poses))),
         len(motion) >= 2 and int(motion.tracks[-1]) < max(3, _CONFUSED * len(motion)),
     )
+
+
+def are_degrees(odometry: FloatArray, laser: FloatArray) -> bool:
+    """Return whether turns (K,) of the odometry agree with those of the laser as degrees, and not as rad.
+
+    Both are up to full turns, rad. In any healthy log they agree as rad, also where turns are alike, such that both
+    readings fit.
+    """
+    known = np.isfinite(odometry) & (np.abs(laser) > _LEAST_TURN_RAD)
+    if np.count_nonzero(known) < _FEWEST_TURNS:
+        return False
+
+    def agreement(unit: float) -> float:
+        return max(float(np.cos(odometry[known] - sign * unit * laser[known]).mean()) for sign in (1, -1))
+
+    return agreement(_DEGREES) > _AGREE and agreement(1.0) < _HARDLY_AGREE
 
 
 def _improves(reported: FloatArray, predicted: FloatArray, yaw_rad: float) -> bool:

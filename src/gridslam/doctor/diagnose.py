@@ -42,6 +42,12 @@ _NO_REFERENCE = (
 )  # fmt: skip
 _OF_TWO_CLOCKS = ("odometry_unrelated", "no_odometry")
 _OF_ODOMETRY = (*_WHEELS, "odometry_unrelated", "odometry_frozen")
+_OTHER_UNIT = 9.0  # of a scale that is off: inches, centimetres or millimetres
+_CONSEQUENCES = {
+    "odometry_frozen": ("standing_still",),
+    "odometry_units": ("odometry_jumps",),
+    "random_ranges": ("odometry_frozen",),  # they change while the robot stands
+}
 
 
 @final
@@ -184,9 +190,13 @@ class Doctor:
         for sensor, laser in self._lasers.items():
             yield from laser.breaks.findings(sensor) if sensor not in no_reference else ()
         moved = list(self._compare_motion(no_reference, held_back))
-        yield from moved
-        is_frozen = any(finding.code == "odometry_frozen" for finding in moved)
-        yield from (each for each in self._odometry.findings() if not (is_frozen and each.code == "standing_still"))
+        follows = {of for finding in (*found, *moved) for of in _CONSEQUENCES.get(finding.code, ())}
+        if any(finding.code == "odometry_scale" and (finding.size or 0) > _OTHER_UNIT for finding in moved):
+            follows.add("odometry_jumps")
+        driven = [finding for finding in self._odometry.findings() if finding.code not in follows]
+        if any(finding.code == "odometry_frozen" for finding in driven):
+            moved = [finding for finding in moved if finding.code not in _OF_ODOMETRY]
+        yield from (*moved, *driven)
 
     def _compare_motion(self, no_reference: Set[str], held_back: Set[str]) -> Iterator[Finding]:
         """Compare the motion of each laser with odometry and mounting.

@@ -36,10 +36,12 @@ def motion_findings(found: MotionCalibration) -> list[Finding]:
 
     A fault is reported only if it is larger than what every robot has, and than four standard deviations of its
     estimate. Codes: reflected_laser, odometry_mirrored, yaw_offset, clock_skew, odometry_scale,
-    odometry_rotation_bias, odometry_drift, odometry_frozen, odometry_unrelated.
+    odometry_rotation_bias, odometry_drift, odometry_frozen, odometry_unrelated, odometry_units.
     """
     if not found.is_reliable:
         return []
+    if found.headings_in_degrees:
+        return [_in_degrees(found)]
     if found.is_unrelated:
         return [_unrelated(found)]
     return [*_laser_findings(found), *_odometry_findings(found)]
@@ -54,6 +56,18 @@ def _unrelated(found: MotionCalibration) -> Finding:
         found.agreement,
         "1",
         "Choose the odometry's topic, or map with --no-odometry.",
+        found.motion.sensor,
+    )
+
+
+def _in_degrees(found: MotionCalibration) -> Finding:
+    return Finding(
+        "odometry_units",
+        Severity.WARNING,
+        "The headings of the odometry look like degrees: read as rad they turn 57.3 times as far as the laser.",
+        math.degrees(1.0),
+        "rad/rad",
+        "Convert the headings to rad where the odometry is computed; map with --no-odometry until then.",
         found.motion.sensor,
     )
 

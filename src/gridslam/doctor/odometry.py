@@ -1,4 +1,4 @@
-"""Odometry checks without scan matching: missing, jumping, standing still."""
+"""Odometry checks without scan matching: missing, jumping, frozen, standing still."""
 
 from __future__ import annotations
 
@@ -12,7 +12,15 @@ import numpy as np
 
 from gridslam.doctor.finding import Finding, Severity, percent
 from gridslam.io.measurement import Measurement
+from gridslam.types import BeamStatus, LaserScan
 
+_WINDOW_S = 1.0
+_STILL = 0.01  # m, and rad, in a second: slower than any robot drives, more than encoders flicker
+_CHANGED_M = 0.1  # change of a range above noise, and
+_CHANGED_SHARE = 0.02  # of the range
+_FEWEST_BEAMS = 20
+_FROZEN_WINDOWS = 3  # a shorter stop of the wheels' messages is what matching is for
+_FROZEN_SHARE = 0.1  # of the time: from here on the map is unusable
 _STILL_M = 0.01  # between scans: more than encoders flicker
 _NEVER_MOVED = 0.5  # m, and rad
 _LEAP_M = 1.0  # between scans, and faster than any robot with wheels that maps by a planar laser:
@@ -29,7 +37,7 @@ _Place: TypeAlias = tuple[float, float, float]  # x m, y m, theta rad
 @final
 @dataclass(slots=True)
 class OdometryExaminer:
-    """Finds no_odometry, stamp_units, odometry_jumps and standing_still.
+    """Finds no_odometry, stamp_units, odometry_jumps, odometry_frozen and standing_still.
 
     Counts way and turns, without those of jumps.
     """
@@ -42,6 +50,10 @@ class OdometryExaminer:
     _last: tuple[int, _Place] | None = None
     _jumps: list[tuple[float, float, float]] = field(default_factory=list)  # s, m, rad
     _speeds: array[float] = field(default_factory=lambda: array("d"))
+    _window: tuple[_Place, LaserScan] | None = None
+    _frozen: int = 0
+    _frozen_s: float = 0.0
+    _watched_s: float = 0.0
 
     def take(self, measurement: Measurement) -> None:
         """Look at the odometry of the next scan."""
@@ -49,9 +61,11 @@ class OdometryExaminer:
         self.scans += 1
         if odometry is None:
             self.without += 1
-            self._last = None
+            self._last = self._window = None
         else:
-            self._note_way(scan.stamp_ns, tuple(odometry.pose.tolist()))
+            place = tuple(odometry.pose.tolist())
+            self._note_way(scan.stamp_ns, place)
+            self._note_window(scan, place)
 
     def _note_way(self, stamp_ns: int, place: _Place) -> None:
         """Add path length and rotation since the last scan, or record a jump that is faster than a robot can move."""
@@ -69,6 +83,18 @@ class OdometryExaminer:
             self.metres += moved
             self.radians += turned
 
+    def _note_window(self, scan: LaserScan, place: _Place) -> None:
+        """Compare odometry and ranges with those of a second ago."""
+        start, first = self._window or (place, scan)
+        self._window = self._window or (place, scan)
+        seconds = (scan.stamp_ns - first.stamp_ns) * 1e-9
+        if seconds >= _WINDOW_S and scan.sensor == first.sensor:
+            self._window = (place, scan)
+            self._watched_s += seconds
+            if max(_motion(start, place)) < _STILL and _is_changed(first, scan):
+                self._frozen += 1
+                self._frozen_s += seconds
+
     def findings(self) -> Iterator[Finding]:
         """Yield the findings on the odometry, and on how the robot was driven."""
         if self.without:
@@ -78,7 +104,9 @@ class OdometryExaminer:
             yield self._odometry_jumps()
         if speed < _CREEPS_M_S:
             yield self._stamp_units(speed)
-        known = 0 if self._jumps else self.scans - self.without
+        if self._frozen >= _FROZEN_WINDOWS:
+            yield self._odometry_frozen()
+        known = 0 if self._jumps or self._frozen else self.scans - self.without
         if known > _FEWEST_MOVES and max(self.metres, self.radians) < _NEVER_MOVED:
             message = f"The robot never moves (odometry: {self.metres:.2f} m): there is only one view to map."
             remedy = "Record while the robot drives."
@@ -119,6 +147,25 @@ class OdometryExaminer:
             *size,
             "Look for what restarts or corrects the odometry; in a jump the motion is estimated from scans.",
         )
+
+    def _odometry_frozen(self) -> Finding:
+        severity = Severity.ERROR if self._frozen_s > _FROZEN_SHARE * self._watched_s else Severity.WARNING
+        message = (
+            f"For {self._frozen_s:.0f} of {self._watched_s:.0f} s odometry stood still while the scans changed: it is "
+            "frozen."
+        )
+        remedy = "Look for what stops odometry on the robot; map with --no-odometry until then."
+        return Finding("odometry_frozen", severity, message, self._frozen_s, "s", remedy)
+
+
+def _is_changed(before: LaserScan, after: LaserScan) -> bool:
+    """Return whether most beams with two hits have other ranges; people who pass change fewer."""
+    if len(before) != len(after):
+        return False
+    both = (before.status == BeamStatus.HIT) & (after.status == BeamStatus.HIT)
+    old = before.ranges[both]
+    changed = np.abs(after.ranges[both] - old) > _CHANGED_M + _CHANGED_SHARE * old
+    return len(old) >= _FEWEST_BEAMS and 2 * int(changed.sum()) > len(old)
 
 
 def _motion(before: _Place, after: _Place) -> tuple[float, float]:

@@ -34,7 +34,7 @@ _TURNED_RAD = 1.2
 _SPOILING_YAW_RAD = 0.35
 _SIGMAS = 6.0
 _GROSS = 0.2  # error of a scale that no wheels have
-_CONTRADICTIONS = ("odometry_unrelated", "odometry_frozen")
+_CONTRADICTIONS = ("odometry_unrelated", "odometry_frozen", "odometry_units")
 _OF_SCALES = ("odometry_scale", "odometry_rotation_bias")
 
 
@@ -87,6 +87,8 @@ def find_needed_repair(calibration: MotionCalibration, range_max_m: float | None
     corrected only where that brings laser and odometry together. Hits from `range_max_m` on that are none follow the
     robot around, and hold it back along a corridor.
     """
+    if calibration.headings_in_degrees:  # then the turns have no sign
+        return Repair(range_max_m=range_max_m)
     reflected = calibration.agreement < _SURELY_REFLECTED and calibration.laser_rad > _TURNED_RAD
     yaw = calibration.yaw_rad
     large = yaw.differs(0.0, _SPOILING_YAW_RAD, _SIGMAS) and calibration.yaw_improves

@@ -12,6 +12,7 @@ from hypothesis import strategies as st
 from gridslam.doctor import CheckedLog, Doctor, Severity, diagnose
 from gridslam.doctor.report import document, text, verdict
 from gridslam.errors import InputError
+from gridslam.geometry.angles import wrap
 from gridslam.geometry.se2 import between
 from gridslam.io.log_statistics import LogStatistics
 from gridslam.sim import LidarConfig, OdometryNoise, RobotConfig, make_world, simulate
@@ -46,12 +47,14 @@ def rooms():
     ("change", "code"),
     [
         (lambda poses: [*poses[:150], *between(poses[150], poses[150:])], "odometry_jumps"),
+        (lambda poses: poses * [1000, 1000, 1], "odometry_scale"),
+        (lambda poses: np.column_stack([poses[:, :2], wrap(np.degrees(poses[:, 2]))]), "odometry_units"),
         (lambda poses: np.tile(poses[0], (len(poses), 1)), "odometry_frozen"),
     ],
-    ids=["reset", "frozen"],
+    ids=["reset", "millimetres", "degrees", "frozen"],
 )
 def test_what_follows_from_a_fault_is_no_fault_of_its_own(rooms, change, code):
-    """A jump is an outlier where laser and odometry are compared; of a frozen one nothing else is told."""
+    """A jump is an outlier where motions are compared; of another unit, or of a frozen one, nothing else is told."""
     measurements = rooms.measurements[:450]
     poses = change(np.array([m.odometry.pose for m in measurements]))
     odometry = (replace(m.odometry, pose=pose) for m, pose in zip(measurements, poses, strict=True))

@@ -23,6 +23,19 @@ def test_scans_without_odometry(share, severity):
     assert ("--no-odometry" in found.remedy) == (share == 1.0)
 
 
+@pytest.mark.parametrize(("seconds", "severity"), [(40, Severity.ERROR), (4, Severity.WARNING), (2, None)])
+def test_frozen_odometry(seconds, severity):
+    def log():
+        for k, m in enumerate(drive(60.0)):
+            frozen = 10.0 <= k / 5 <= 10.0 + seconds
+            yield seen(k / 5, m.scan.ranges, (3.0, 0.0, 0.0) if frozen else tuple(m.odometry.pose))
+
+    found = findings(log()).get("odometry_frozen")
+    assert (found and found.severity) == severity
+    if found:
+        assert found.size == pytest.approx(seconds, abs=1.5)  # it is looked at once a second
+
+
 @pytest.mark.parametrize(
     ("metres", "radians", "told"), [(3.0, 0.0, 3.0), (0.0, 2.5, 2.5), (1e8, 1.0, 1e8), (0.9, 0.9, None)]
 )
