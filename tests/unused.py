@@ -14,6 +14,5 @@ run_map, run_localize, run_doctor  # targets of jobs, which are text
     surplus,
     odometry_m,
     runner_up_pose,
-    agreeing_keypoints,
 )  # read together with others
-to_planar, squared_innovations, read_trajectory_csv  # offered to callers
+to_planar, read_trajectory_csv  # offered to callers

@@ -479,7 +479,7 @@ class Alignment:
                 ConstraintSource.RECOGNIZED,
                 anchor,
             )
-            if isinstance(constraint, Constraint):
+            if constraint is not None:
                 found.append(constraint)
         return found
 

@@ -15,7 +15,7 @@ from gridslam.models.landmark import LandmarkModel, LandmarkObservations, Landma
 from gridslam.slam.landmarks.report import LandmarkMap
 from gridslam.slam.landmarks.small_gaussians import inverse_2x2, transform_covariances
 from gridslam.slam.pose_graph.graph_slam import GraphSlam, GraphSolution
-from gridslam.slam.pose_graph.marginals import Marginals
+from gridslam.slam.pose_graph.marginals import marginal_covariances
 from gridslam.slam.pose_graph.pose_graph import PoseGraph
 from gridslam.types import FloatArray, IntArray, MotionModel
 
@@ -99,7 +99,7 @@ class LandmarkGraphSlam:
             solution = self.solver.solve(problem.begin(until, nodes[: known + 1], nodes[known + 1 :]))
             nodes = solution.poses
             known = until
-        covariances = Marginals(solution.weighted_graph).covariances
+        covariances = marginal_covariances(solution.weighted_graph)
         poses = slice(1, known + 1)
         landmarks = slice(known + 1, None)
         observations = np.bincount(problem.place, minlength=len(problem.names))

@@ -30,7 +30,6 @@ from gridslam.types import FloatArray
 class RejectionReason(Enum):
     """Why a loop-closure candidate was rejected."""
 
-    LOW_INLIER_RATIO = "low inlier ratio"
     INCONSISTENT = "too few others agree, or as many contradict"
     IMPLAUSIBLE = "contradicts the graph"
 
@@ -229,10 +228,6 @@ class LoopClosureState:
         """Metres driven from key scan `first`, the first one of the drive, until it was found in an earlier piece."""
         tracked = np.array(self.graph.tracked[first : first + self.joined_after])
         return float(np.hypot(*np.diff(tracked[:, :2], axis=0).T).sum())
-
-    def correct(self, poses: FloatArray) -> None:
-        """Set the poses (T, 3) of the key scans."""
-        self.graph.correct(poses)
 
     def reject(self, constraints: Sequence[Constraint], accepted: Sequence[Constraint]) -> None:
         """Forget candidates that the graph contradicts, all but the accepted ones."""
