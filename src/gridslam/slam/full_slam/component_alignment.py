@@ -68,10 +68,8 @@ _MOST_HITS = 4
 """Places of a submap, best first."""
 _GATE_SIGMAS = 2.0
 """Standard deviations of the drift that an alignment may need."""
-_MAX_GROUPS = 100
 _MAX_HYPOTHESES = 12
-"""Maximum number of places for two components, those with most matches first, and of these of hypotheses that are
-tracked, those where the component's scans fit best."""
+"""Maximum number of places of a component that are compared, those with most matches first."""
 _TRACKING_GATE_SIGMAS = 2.5
 """A match of a key scan farther than this many standard deviations from the tracked motion is not used."""
 _MIN_LOG_LIKELIHOOD = 10.0
@@ -301,9 +299,7 @@ class Alignment:
 
     def select_hypothesis(self, hits: list[SearchHit]) -> Hypothesis | None:
         """Return the best hypothesis that the hits lead to, if it is accepted."""
-        groups = group_hits(self.closure_state.graph, hits)[:_MAX_GROUPS]
-        if len(groups) > _MAX_HYPOTHESES:
-            groups = sorted(groups, key=self._estimate_evidence, reverse=True)[:_MAX_HYPOTHESES]
+        groups = group_hits(self.closure_state.graph, hits)[:_MAX_HYPOTHESES]
         return self.decide([self.track_component(group) for group in groups])
 
     def is_left_open(self, best: Hypothesis) -> bool:
@@ -311,14 +307,6 @@ class Alignment:
         middle = len(self.keys) // 2
         component = self._as_submap(int(self.keys[middle]), between(best.poses[middle], best.poses))
         return leave_open(self.known.maps, component.walls, best.poses[middle])
-
-    def _estimate_evidence(self, group: list[SearchHit]) -> float:
-        """Log likelihood (nats) of the scans in the shape that was tracked, laid on the map by the best hit."""
-        begin = max(group, key=lambda hit: hit.score)
-        shape = np.array(self.closure_state.graph.poses)
-        poses = compose(begin.pose, between(shape[begin.key], shape[self.keys]))
-        likelihood, _, _ = self._score(self.known.maps, poses, self.closure_state.scans, self.keys)
-        return likelihood - begin.squared_sigmas
 
     def decide(self, hypotheses: list[Hypothesis]) -> Hypothesis | None:
         """Return the best hypothesis if there is enough evidence for it and none farther off is comparable.

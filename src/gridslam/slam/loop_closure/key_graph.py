@@ -295,6 +295,21 @@ class KeyGraph:
             min(max(self.frozen, 1), count),
         )
 
+    def select(self, keys: IntArray) -> KeyGraph:
+        """Return the graph of the key scans (K,) of some of the drives, at the same poses."""
+        number = {key: place for place, key in enumerate(keys.tolist())}
+        increments = [0, *keys[1:].tolist()]  # none leads to the first one
+        return KeyGraph(
+            *([own[key] for key in number] for own in (self.tracked, self.odometry, self.poses)),
+            *([own[key] for key in increments] for own in (self.variances, self.covariances, self.drift_covariances)),
+            [
+                c._replace(from_=number[c.from_], to=number[c.to])
+                for c in self.constraints
+                if number.keys() >= {*c.pair}
+            ],
+            int(np.searchsorted(keys, self.frozen)),
+        )
+
     def snapshot(self) -> KeyGraph:
         """Return a copy for later; arrays that never change are shared."""
         twin = KeyGraph()
