@@ -14,7 +14,7 @@ from gridslam.slam.loop_closure.constraints import (
     Constraint,
     ConstraintSource,
 )
-from gridslam.slam.loop_closure.drift_model import DriftModel, compute_moments, compute_step_moments
+from gridslam.slam.loop_closure.drift_model import DriftModel
 from gridslam.slam.loop_closure.key_graph import UNKNOWN_VARIANCES, KeyGraph
 from gridslam.tracking.state import UnmatchedMotion
 from gridslam.types import Match
@@ -108,18 +108,6 @@ def test_key_scans_keep_their_odometry_when_drives_are_joined_thinned_and_cut():
     assert np.array_equal(thinned.odometry, expected[kept])
     thinned.truncate(10)
     assert np.array_equal(thinned.odometry, expected[kept[:10]])
-
-
-@pytest.mark.parametrize("seed", range(5))
-def test_moments_of_one_step_are_those_of_many(seed):
-    rng = np.random.default_rng(seed)
-    pose = tuple(rng.uniform(-3, 3, 3).tolist())
-    root = rng.normal(size=(2, 2))
-    covariance = np.zeros((3, 3))
-    covariance[:2, :2] = root @ root.T
-    covariance[2, 2] = rng.uniform(0.1, 1)
-    many = compute_moments(np.array([pose]), covariance[None])[0]
-    np.testing.assert_allclose(compute_step_moments(pose, covariance), many, rtol=0, atol=1e-14 * np.abs(many).max())
 
 
 def test_a_direction_left_open_leaves_the_heading_of_searches_as_uncertain_as_it_is_expected():

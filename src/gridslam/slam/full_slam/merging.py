@@ -130,21 +130,15 @@ def _link(
 
 
 def _windows(piece: MapPiece) -> Iterator[IntArray]:
-    """Consecutive key scans without a gap: first from all over the piece, then those between."""
+    """Consecutive key scans without a gap, from all over the piece in turn."""
     labels = piece.graph.label_gaps()
     windows = []
     for label in np.unique(labels):
         keys = np.flatnonzero(labels == label)
         starts = range(0, max(len(keys) - _WINDOW, 0) + _STRIDE, _STRIDE)
         windows += [keys[max(0, min(start, len(keys) - _WINDOW)) :][:_WINDOW] for start in starts]
-    stride = 1 << max(len(windows) - 1, 0).bit_length()
-    seen = set[int]()
-    while stride:
-        for number in range(0, len(windows), stride):
-            if number not in seen:
-                seen.add(number)
-                yield windows[number]
-        stride //= 2
+    for number in np.random.default_rng(0).permutation(len(windows)).tolist():
+        yield windows[number]
 
 
 def _agree(frame: FloatArray, other: FloatArray, pose: FloatArray) -> bool:

@@ -131,27 +131,6 @@ def compute_moments(poses: FloatArray, covariances: FloatArray) -> FloatArray:
     return np.stack([*position, q, q * x, q * y, q * x * x, q * x * y, q * y * y], axis=1)
 
 
-def compute_step_moments(pose: Pose, covariance: FloatArray) -> FloatArray:
-    """Return the moments (9,) of one step to `pose`, as `compute_moments` does for many."""
-    x, y, theta = pose
-    (xx, xy, _), (_, yy, _), (_, _, q) = covariance.tolist()
-    c = math.cos(theta)
-    s = math.sin(theta)
-    return np.array(
-        [
-            c * c * xx - 2 * c * s * xy + s * s * yy,
-            c * s * (xx - yy) + (c * c - s * s) * xy,
-            s * s * xx + 2 * c * s * xy + c * c * yy,
-            q,
-            q * x,
-            q * y,
-            q * x * x,
-            q * x * y,
-            q * y * y,
-        ]
-    )
-
-
 def propagate_covariances(poses: FloatArray, moments: FloatArray) -> FloatArray:
     """Covariances (K, 3, 3) of poses (3,) or (K, 3) at the ends of paths whose moments sum to (K, 9).
 

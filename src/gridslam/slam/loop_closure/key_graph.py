@@ -12,12 +12,12 @@ import numpy as np
 
 from gridslam.arguments import Limits
 from gridslam.geometry.se2 import between, compose
-from gridslam.geometry.single_pose import UNKNOWN_POSE, Pose, as_pose
+from gridslam.geometry.single_pose import UNKNOWN_POSE, Pose
 from gridslam.serialization import NOT_SAVED
 from gridslam.slam.loop_closure.certain_ways import follow_certain_ways
 from gridslam.slam.loop_closure.constraints import Constraint, ConstraintSource, key_scan_pairs
 from gridslam.slam.loop_closure.drift_model import (
-    compute_step_moments,
+    compute_moments,
     position_variances,
     propagate_covariances,
 )
@@ -345,10 +345,10 @@ class KeyGraph:
         if not determined:
             return
         covariances = np.asarray(np.linalg.inv(np.array([c.information for c in determined])), np.float64)
-        for constraint, covariance in zip(determined, covariances, strict=True):
-            moments = compute_step_moments(as_pose(self.poses[constraint.to]), covariance)
-            self._links.append(constraint)
-            self._link_moments.append(moments)
+        of_links = compute_moments(np.array([self.poses[c.to] for c in determined]), covariances)
+        self._links += determined
+        self._link_moments += [*of_links]
+        for constraint, moments in zip(determined, of_links, strict=True):
             self._shorten_ways(constraint, moments)
 
     def _drift_at(self, key: int) -> FloatArray:
