@@ -292,7 +292,7 @@ class MonteCarloLocalization:
 
         def share(beams: Beams) -> float:
             pose = self._match(guess, state.estimate.covariance, beams)
-            return float(self._inlier_ratio(beams)(pose[None])[0])
+            return float(self.map.inlier_ratio(beams.ends)(pose[None])[0])
 
         order = BeamOrder().learn(beams, twist, share).best(self.configuration.beam_order_margin)
         return beams.deskew(order * twist)
@@ -387,10 +387,6 @@ class MonteCarloLocalization:
             return np.ones(len(beams), np.bool_)
         return ~self.map.ends_beyond(pose, beams.ends, beams.origin)
 
-    def _inlier_ratio(self, beams: Beams) -> PoseLikelihood:
-        """Return share (N,) of the beams that agree with the map at poses (N, 3)."""
-        return self.map.inlier_ratio(beams.ends)
-
     def _inject_particles(
         self,
         poses: FloatArray,
@@ -423,7 +419,7 @@ class MonteCarloLocalization:
         rng: np.random.Generator,
     ) -> LocalizationReport:
         """Report of an update, before resampling; stores the estimate and the pose hypotheses in the state."""
-        agree = self._inlier_ratio(beams)
+        agree = self.map.inlier_ratio(beams.ends)
         estimate = estimate_pose(state.poses, weights)
         state.inlier_ratio = float(agree(estimate.pose[None])[0])
         state.update_estimate(estimate, moved)

@@ -307,7 +307,7 @@ class Alignment:
             return None
         limit = self.ambiguity_ratio * best.evidence
         rivals_m = [best.distance_m(other) for other in hypotheses if other.evidence > limit]
-        own = self._draw(best.poses)
+        own = build_map(self.mapper, self.closure_state.scans, self.keys, best.poses)
         limit += best.squared_sigmas
         for shift_m in _SHIFTS_M:
             shifts = shift_m * DIRECTIONS
@@ -324,7 +324,8 @@ class Alignment:
         own = between(shape[begin.key], shape[self.keys])
         (pose,) = self._match_points(self._as_submap(begin.key, own), begin.pose).poses
         poses = compose(pose, own)
-        likelihood, overlap, agreement = self._score_both(poses, self._draw(poses))
+        drawn = build_map(self.mapper, self.closure_state.scans, self.keys, poses)
+        likelihood, overlap, agreement = self._score_both(poses, drawn)
         squared_sigmas = min(hit.squared_sigmas for hit in group)
         return Hypothesis(poses, likelihood, squared_sigmas, overlap, agreement)
 
@@ -335,10 +336,6 @@ class Alignment:
     def _match_points(self, component: Submap, pose: FloatArray) -> Match:
         """Match the points of a component from a pose (3,) of its frame on."""
         return match_points(self.known.maps, pose[None], thin_points(component.collect_points(), MAX_POINTS))
-
-    def _draw(self, poses: FloatArray) -> TileMaps:
-        """Build the map of the component's key scans at poses (K, 3)."""
-        return build_map(self.mapper, self.closure_state.scans, self.keys, poses)
 
     def _score_both(
         self, poses: FloatArray, own: TileMaps, shift: FloatArray | float = 0.0, least: float = -math.inf

@@ -192,14 +192,10 @@ class EarlierPieces:
         known = (number, key, _tracked_at(graph, keys))
         if known not in self._hits:
             submap = Submap.of(graph, int(keys[len(keys) // 2]), keys, closure_state.scans, self._mapper)
-            self._hits[known] = self._match(graph, number, submap)
+            moved = between(graph.tracked[0], graph.tracked[submap.anchor])
+            near = None if self._begin is None else compose(self._begin, moved)
+            self._hits[known] = match_submap(self._searches[number], submap, near, _NEAR_M, _NEAR_RAD)
         return self._hits[known]
-
-    def _match(self, graph: KeyGraph, number: int, submap: Submap) -> list[SearchHit]:
-        near = None
-        if self._begin is not None:
-            near = compose(self._begin, between(graph.tracked[0], graph.tracked[submap.anchor]))
-        return match_submap(self._searches[number], submap, near, _NEAR_M, _NEAR_RAD)
 
 
 @final

@@ -106,16 +106,13 @@ class DriftModel:
 
 def scale_covariances(sigma: float, displacements: FloatArray) -> FloatArray:
     """Covariances (N, 3, 3) by the error of the scale, of poses displaced by (N, 2) m from the first one."""
-    covariances = np.zeros((len(displacements), 3, 3))
-    covariances[:, :2, :2] = sigma**2 * displacements[:, :, None] * displacements[:, None, :]
-    return covariances
+    squares = sigma**2 * displacements[:, :, None] * displacements[:, None, :]
+    return np.pad(squares, [(0, 0), (0, 1), (0, 1)])
 
 
 def diagonal_covariances(variances: FloatArray) -> FloatArray:
     """Covariances (K, 3, 3) of variances (K, 2) of position and heading."""
-    found = np.zeros((len(variances), 3, 3))
-    found[:, [0, 1, 2], [0, 1, 2]] = variances[:, [0, 0, 1]]
-    return found
+    return np.asarray(variances[:, None, [0, 0, 1]] * np.eye(3))
 
 
 def compute_moments(poses: FloatArray, covariances: FloatArray) -> FloatArray:

@@ -85,7 +85,7 @@ class SubmapRecognition:
         What is done at a key scan depends on counts alone: results do not depend on time, and no scan waits for long.
         """
         graph, search, pairs = closure_state.graph, closure_state.search, closure_state.pairs
-        self.cut(closure_state, mapper, pairs)
+        pairs.cut(graph, closure_state.scans, mapper, self.length_m, self.step_m)
         if search.described < len(pairs.submaps):
             last = min(search.described + _DESCRIBED_AT_A_TIME, len(pairs.submaps))
             for submap in pairs.submaps[search.described : last]:
@@ -140,7 +140,7 @@ class SubmapRecognition:
         the first `searched` key scans are not compared with each other.
         """
         graph = closure_state.graph
-        self.cut(closure_state, mapper, pairs, is_over=True)
+        pairs.cut(graph, closure_state.scans, mapper, self.length_m, self.step_m, is_over=True)
         candidates: list[Constraint] = []
         closure_state.search.unsearched = 0
         for newer, submap in enumerate(pairs.submaps):
@@ -155,17 +155,6 @@ class SubmapRecognition:
         accepted = self.accept(graph, candidates).tolist() if candidates else []
         recognized = [candidate for candidate, is_accepted in zip(candidates, accepted, strict=True) if is_accepted]
         return recognized, len(candidates) - len(recognized)
-
-    def cut(
-        self,
-        closure_state: LoopClosureState,
-        mapper: OccupancyGridMapping,
-        pairs: SubmapPairs,
-        *,
-        is_over: bool = False,
-    ) -> None:
-        """Cut the way into submaps, as far as it is complete or the drive is over."""
-        pairs.cut(closure_state.graph, closure_state.scans, mapper, self.length_m, self.step_m, is_over)
 
     def _expect(self, graph: KeyGraph, pairs: SubmapPairs, newer: int) -> tuple[list[SubmapPrior], int]:
         """Expect older submaps that may show the same place, and count those that the bound of the drift leaves out."""

@@ -37,7 +37,7 @@ def marginal_covariances(graph: PoseGraph) -> FloatArray:
     return blocks
 
 
-def _factorize(graph: PoseGraph) -> tuple[Any, ...]:
+def _factorize(graph: PoseGraph) -> Any:  # noqa: ANN401 scipy's sparse matrix, and arrays
     """Factors of the information of a graph (see `BlockSystem.factors`): they alone stay in memory."""
     system = BlockSystem(graph.edges, len(graph.poses), 3, graph.held)
     system.factorize(system.assemble(linearize(graph, graph.poses, graph.errors()))[0])
