@@ -4,10 +4,16 @@ from __future__ import annotations
 
 import numpy as np
 
-from gridslam.geometry.se2 import between, between_jacobians
+from gridslam.geometry.se2 import between, compose_jacobians, inverse
 from gridslam.slam.pose_graph.linear import BlockSystem, linearize
 from gridslam.slam.pose_graph.pose_graph import PoseGraph
 from gridslam.types import FloatArray, IntArray
+
+
+def between_jacobians(a: FloatArray, b: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Jacobians (..., 3, 3) of between(a, b) with respect to `a` and to `b`: as b is compose(a, between(a, b))."""
+    by_b = compose_jacobians(inverse(a), b)[1]
+    return -by_b @ compose_jacobians(a, between(a, b))[0], by_b
 
 
 def relative_covariances(graph: PoseGraph, pairs: IntArray) -> FloatArray:
