@@ -149,7 +149,8 @@ class LandmarkGraph:
         moments = [step.motion(motion).moments(np.zeros((1, 3))) for step in steps]
         increments = np.array([increment for (increment,), _ in moments]).reshape(-1, 3)
         spreads = np.array([spread for _, (spread,) in moments]).reshape(-1, 3, 3)
-        spread_at_end = _at_the_end(spreads, increments) + _ALMOST_EXACT * np.eye(3)
+        to_end = compose_jacobians(inverse(increments), increments)[1]  # the graph's: the frame in which each ends
+        spread_at_end = transform_covariances(to_end, spreads) + _ALMOST_EXACT * np.eye(3)
         observed = [step.observations for step in steps if len(step.observations)]
         reported = [name for observations in observed for name in signatures(observations).tolist()]
         place_of = {name: place for place, name in enumerate(dict.fromkeys(reported))}
@@ -210,9 +211,3 @@ def _locate(observations: LandmarkObservations, sensor: LandmarkModel) -> tuple[
     points = sensor.locate(here, observations.values)
     root = inverse_2x2(sensor.linearize(here, points)[2])
     return points, transform_covariances(root, sensor.noise(observations))
-
-
-def _at_the_end(covariances: FloatArray, increments: FloatArray) -> FloatArray:
-    """Turn covariances (T, 3, 3) from the frame in which increments begin to that in which they end: the graph's."""
-    turn = compose_jacobians(inverse(increments), increments)[1]
-    return transform_covariances(turn, covariances)

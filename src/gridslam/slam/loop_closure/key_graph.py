@@ -131,16 +131,6 @@ class KeyGraph:
         """Metres driven (T,) up to each key scan, as tracked."""
         return np.array(self._driven_m)
 
-    @property
-    def newest_m(self) -> float:
-        """Metres driven up to the newest key scan."""
-        return self._driven_m[-1]
-
-    @property
-    def stretches(self) -> int:
-        """Number of stretches that gaps in the laser data separate."""
-        return self._gap_counts[-1] + 1
-
     def begins_drive(self, key: int) -> bool:
         """Whether a key scan is the first one of a drive that was joined with earlier ones."""
         return key > 0 and self.variances[key][0] >= UNKNOWN_VARIANCES[0]

@@ -63,11 +63,10 @@ class SubmapPairs:
 
         A stretch between gaps ends with a submap of what is left; the last one does so when the drive `is_over`.
         """
-        stretches = graph.stretches
-        if stretches == self._stretch + 1 and graph.newest_m <= self._next_m and not is_over:
+        way, labels = graph.driven_m(), graph.label_gaps()
+        stretches = int(labels[-1]) + 1
+        if stretches == self._stretch + 1 and way[-1] <= self._next_m and not is_over:
             return
-        way = graph.driven_m()
-        labels = graph.label_gaps()
         for stretch in range(self._stretch, stretches):
             own = np.flatnonzero(labels == stretch)
             begin, end = way[own[[0, -1]]].tolist()
