@@ -155,7 +155,7 @@ _JITTER_SAMPLES = 64
 """Poses looked at about each hypothesis."""
 
 JITTER: Final = 0.05, 0.05, 0.03
-"""Standard deviations (m, m, rad) of how far about it: what odometry may be wrong by between two updates."""
+"""Standard deviations (m, m, rad) of these poses about it, as of the odometry between two updates."""
 
 
 def update_hypotheses(

@@ -16,9 +16,9 @@ _PATCH_M = 0.5
 """Side of a patch: ten cells of 5 cm."""
 
 _RESIDUAL_FACTOR = 3.0
-"""Ratio of the map's errors to the residuals: what neighbouring ends share moves the pose, and is no residual. Measured
-with the true poses of eight simulated buildings (seeds 0 to 7), in all of which the normalized estimation error squared
-is between 1.6 and 3.1 by it; 3 degrees of freedom are expected."""
+"""Ratio of the map's errors to the residuals. Errors that neighbouring ends share move the pose, and are no residuals.
+Measured with the true poses of eight simulated buildings (seeds 0 to 7), in all of which the normalized estimation
+error squared is between 1.6 and 3.1 by it; 3 degrees of freedom are expected."""
 
 
 def compute_match_covariance(
