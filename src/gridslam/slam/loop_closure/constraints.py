@@ -84,12 +84,12 @@ class Constraint(NamedTuple):
         """
         (pose,), (information,) = match.poses, match.information
         weak = degenerate_direction(information, float(match.score[0]), least)
-        across = np.eye(3)
+        along = np.zeros((3, 1))
         if weak is not None:
-            along = np.append(weak, 0.0)
-            across -= np.outer(along, along)
-            pose = pose - along * (along @ (pose - guess))
-        weight = _rotate(across @ (information / sigma_m**2) @ across, pose) + _FLOOR
+            along[:2, 0] = weak
+        across = np.eye(3) - along * along.T
+        pose = pose - (along * (along.T @ (pose - guess)[:, None]))[:, 0]
+        (weight,) = _rotate((across @ (information / sigma_m**2) @ across)[None], pose[None]) + _FLOOR
         return cls(from_, to, pose, weight, source, weak is None)
 
 
