@@ -290,14 +290,18 @@ class KeyGraph:
         number = {key: place for place, key in enumerate(keys.tolist())}
         increments = [0, *keys[1:].tolist()]  # none leads to the first one
         return KeyGraph(
-            *([own[key] for key in number] for own in (self.tracked, self.odometry, self.poses)),
-            *([own[key] for key in increments] for own in (self.variances, self.covariances, self.drift_covariances)),
-            [
+            tracked=[self.tracked[key] for key in number],
+            odometry=[self.odometry[key] for key in number],
+            poses=[self.poses[key] for key in number],
+            variances=[self.variances[key] for key in increments],
+            covariances=[self.covariances[key] for key in increments],
+            drift_covariances=[self.drift_covariances[key] for key in increments],
+            constraints=[
                 c._replace(from_=number[c.from_], to=number[c.to])
                 for c in self.constraints
-                if number.keys() >= {*c.pair}
+                if c.from_ in number and c.to in number
             ],
-            int(np.searchsorted(keys, self.frozen)),
+            frozen=int(np.searchsorted(keys, self.frozen)),
         )
 
     def snapshot(self) -> KeyGraph:
