@@ -271,7 +271,9 @@ def _distances_within(occupied: NDArray[np.bool_], reach: int) -> NDArray[np.flo
         band = occupied[low : first + _BAND + reach]
         if band.any():
             own = found[first : first + _BAND]
-            np.minimum(own, distance_transform_edt(~band)[first - low :][: len(own)], out=own, casting="same_kind")
+            np.minimum(
+                own, np.asarray(distance_transform_edt(~band))[first - low :][: len(own)], out=own, casting="same_kind"
+            )
     return found
 
 
