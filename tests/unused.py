@@ -33,6 +33,5 @@ writeable, comment, compress_type, max_size, should_exit  # NumPy, zipfile, webs
     extrapolated,
     surplus,
     runner_up_pose,
-    agreeing_keypoints,
 )  # read together with others
-to_planar, squared_innovations, read_trajectory_csv  # offered to callers
+to_planar, read_trajectory_csv  # offered to callers
