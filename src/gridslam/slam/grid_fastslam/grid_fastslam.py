@@ -17,7 +17,7 @@ from gridslam.arguments import describe
 from gridslam.checked import checked
 from gridslam.errors import ArgumentError
 from gridslam.geometry.angles import wrap
-from gridslam.geometry.single_pose import Pose, between
+from gridslam.geometry.single_pose import Pose, between, motion_of
 from gridslam.mapping.occupancy_grid_mapping import OccupancyGridMapping
 from gridslam.models.endpoint import CauchyEndPoint
 from gridslam.models.motion import DiffusionMotion, add_noise
@@ -218,11 +218,14 @@ class GridFastSlam:
         what the tracker errs by.
         """
         control = tracked.control
-        motion = self.motion(np.array(between(state.key_pose, control.pose)))
+        increment = between(state.key_pose, control.pose)
+        motion = self.motion(np.array(increment))
+        scans = sum(motion_of(increment)) / state.tracker.mean_step if state.tracker.mean_step else 1.0
         if control.variances is not None:
+            scans = 1.0
             wide = add_noise(motion, np.diag(np.take(control.variances, [0, 0, 1])))
             motion = SearchingMotion(wide, state.maps, self.sensor(tracked.beams), tracked.beams.ends)
-        return MotionOfAll(motion, state.best, control.common_variances)
+        return MotionOfAll(motion, state.best, scans, control.common_variances)
 
     def _close_loops(
         self, state: GridFastSlamState, report: StepReport, beams: Beams
