@@ -116,9 +116,9 @@ class MonteCarloConfiguration:
         Inlier ratio with the map below which the robot is lost; random poses have 0.2. The lost probability starts to
         grow below one and a half times this ratio.
     lost_above : float, (0, 1)
-        Lost probability above which the robot is lost, and a quarter of it the probability of all other places, until the
-        reported one was verified. With two places that look alike it is far above, whatever little
-        evidence a scan has.
+        Lost probability above which the robot is lost; until the reported place was verified also a quarter of it, as
+        the probability of all other places. With two that look alike it is far above, whatever little evidence a scan
+        has.
     confirm_distance_m : float, m, > 0
         The lost probability of a new fix includes exp(-path / confirm_distance_m): driving on disambiguates places that
         look alike.
