@@ -8,14 +8,11 @@ import sys
 import numpy as np
 import pytest
 
-from gridslam.batch.commands import run_map
 from gridslam.cli import tune as tune_module
 from gridslam.cli.main import main
 from gridslam.config import Configuration, load, override
 from gridslam.geometry.se2 import between
-from gridslam.io.log import LogOptions
 from gridslam.io.trajectories import read_trajectory
-from gridslam.parameters import to_table
 
 START = override(Configuration(), "particles=2", "loop_closure=false")
 FEW = "--particles", "2", "--trials", "3", "--judging-seeds", "2", "--no-loop-closure"
@@ -32,16 +29,23 @@ def logs(tmp_path_factory):
     return folder
 
 
-@pytest.fixture(scope="module")
-def tuned(logs, tmp_path_factory):
-    out = tmp_path_factory.mktemp("tuned") / "best.toml"
+pytestmark = pytest.mark.usefixtures("jobs_here")
+
+
+@pytest.fixture
+def tuned(logs, tmp_path):
+    out = tmp_path / "best.toml"
     arguments = [str(logs / "log1.clf"), "--held-out", str(logs / "log2.clf"), "-o", str(out), *FEW]
     assert main(["tune", *arguments, "--json"]) == 0
     return out, arguments
 
 
-def test_it_writes_a_configuration_and_a_document(tuned, logs):
-    out, _ = tuned
+def test_it_writes_a_configuration_and_a_document(tuned, logs, monkeypatch):
+    """And an interrupted search goes on to the same bytes and does nothing twice.
+
+    An interrupt leaves the rows and folders of what was done; here two trials are not yet.
+    """
+    out, arguments = tuned
     folder = out.with_suffix(".tune")
     document = json.loads((folder / "tune.json").read_text())
     assert document["schema"] == "gridslam.tuning/4"
@@ -57,11 +61,6 @@ def test_it_writes_a_configuration_and_a_document(tuned, logs):
         assert {pair["log"] for pair in document["pairs"]} == {"log2"}
     assert (folder / "runs.sqlite").is_file()
 
-
-def test_an_interrupted_search_goes_on_to_the_same_bytes_and_does_nothing_twice(tuned, monkeypatch):
-    """An interrupt leaves the rows and folders of what was done; here two trials are not yet."""
-    out, arguments = tuned
-    folder = out.with_suffix(".tune")
     before = out.read_bytes(), (folder / "tune.json").read_bytes()
     out.unlink()
     (folder / "tune.json").unlink()
@@ -121,11 +120,12 @@ def test_relations_count_within_the_time_that_is_read(tmp_path, capsys):
         lines.append(f"{times} {x + off_m} {y} 0 0 0 {theta}\n")
     (tmp_path / "log.relations").write_text("".join(lines))
     relations = str(log.with_suffix(".relations"))
-    for duration_s, least, most in ((5.0, 0.0, 0.2), (8.0, 0.4, 0.7)):
-        trial = {"log": str(log), "job": {}, "configuration": to_table(START), "seed": 0, "threads": 1}
-        trial |= {"repair": "none", "options": LogOptions(duration_s=duration_s).to_dict(), "max_memory_bytes": 10**9}
-        scores = run_map(trial | {"reference": relations, "out": str(tmp_path / "out")})["evaluation"]
-        assert least < scores["relations"]["trans_mean_m"] < most
+    for duration, least, most in (("5", 0.0, 0.2), ("8", 0.4, 0.7)):
+        words = "--particles", "2", "--no-loop-closure", "--repair", "none", "--duration", duration
+        assert main(["map", str(log), "-o", str(tmp_path / "out"), *words]) == 0
+        capsys.readouterr()
+        assert main(["evaluate", str(tmp_path / "out" / "trajectory.tum"), relations, "--part", "--json"]) == 0
+        assert least < json.loads(capsys.readouterr().out)["relations"]["trans_mean_m"] < most
     assert main(["tune", str(log), "-o", str(tmp_path / "best.toml"), *FEW, "--duration", "2"]) == 2
     assert "expected a relation within the time that was mapped, got none" in capsys.readouterr().err
 

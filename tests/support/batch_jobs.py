@@ -1,9 +1,10 @@
-"""Jobs whose children end in every way, for the tests of `gridslam.batch`.
+"""Jobs whose children end in every way, for the tests of `gridslam.batch`: this module stands in for the command line.
 
 Each child imports this module: what only the tests need is imported where it is used.
 """
 
 import ctypes
+import json
 import os
 import signal
 import subprocess
@@ -12,14 +13,16 @@ import time
 from pathlib import Path
 
 from gridslam.batch.job import Job, compute_key
-from gridslam.errors import InputError
+from gridslam.errors import GridslamError, InputError
 from gridslam.io.output import OutputFolder
+
+PROGRAM = sys.executable, "-m", "support.batch_jobs"
 
 
 def make_job(function, name, **arguments):
     """A job of a function of this module; what only counts is no part of the key."""
     key = compute_key("test", function, {"name": name, **arguments})
-    return Job(f"support.batch_jobs:{function}", arguments, f"{name}.clf", name, key, "test")
+    return Job((function, json.dumps(arguments)), f"{name}.clf", name, key, "test")
 
 
 def children_of(pid):
@@ -39,18 +42,19 @@ def count(arguments):
     """Leave a trace of a call: a line with the name of the job."""
     if "trace" in arguments:
         with Path(arguments["trace"]).open("a") as file:
-            file.write(f"{arguments['job']['folder']}\n")
+            file.write(f"{Path(arguments['out']).name}\n")
 
 
 def write_number(arguments):
-    """Write two files, slowly if wanted, and leave run.json to the caller."""
+    """Write two files, slowly if wanted."""
     count(arguments)
     with OutputFolder(arguments["out"]) as folder:
         folder.file("number.txt").write_text(str(arguments["number"]))
         time.sleep(arguments.get("seconds", 0))
         folder.file("square.txt").write_text(str(arguments["number"] ** 2))
-    print("a line of output")
-    return {"schema": "test.number/1", "number": arguments["number"]}
+    print("a line of output", file=sys.stderr)
+    costs = {"time": {"cpu_s": time.process_time()}, "peak_memory_bytes": 10**8}
+    return {"schema": "test.number/1", "number": arguments["number"], **costs}
 
 
 def reject(arguments):
@@ -59,11 +63,7 @@ def reject(arguments):
 
 
 def fail(arguments):
-    raise ValueError("two\nlines")
-
-
-def fill_disk(arguments):
-    raise OSError(28, os.strerror(28), "trajectory.tum")
+    raise ValueError("two lines")
 
 
 def hang(arguments):
@@ -73,15 +73,18 @@ def hang(arguments):
         child = subprocess.Popen([sys.executable, "-c", "import time; time.sleep(600)"])
         if "pids" in arguments:
             Path(arguments["pids"]).write_text(f"{os.getpid()} {child.pid} {os.getppid()}")
-        print("now it hangs", flush=True)
+        print("now it hangs", file=sys.stderr, flush=True)
         time.sleep(600)
 
 
-def take_memory(arguments):
-    import resource  # not of Windows
+def want_memory(arguments):
+    raise MemoryError
 
-    resource.setrlimit(resource.RLIMIT_AS, (2 * 10**9, 2 * 10**9))
-    return {"size": len(bytearray(10 * 10**9))}
+
+def leave_out_scans(arguments):
+    failure = "2 scans failed: MemoryError"
+    print(f"gridslam: {failure}", file=sys.stderr)
+    return {"failures": [failure]}
 
 
 def segfault(arguments):
@@ -98,5 +101,18 @@ def leave(arguments):
     os._exit(7)
 
 
-def return_nonsense(arguments):
-    return {"value": float("nan")}
+def main():
+    """Call the function that is named as the command line calls a command."""
+    function, text, _, out, *_ = sys.argv[1:]
+    try:
+        print(json.dumps(globals()[function]({**json.loads(text), "out": out})))
+    except GridslamError as error:
+        print(f"gridslam: {error}", file=sys.stderr)
+        sys.exit(2)
+    except MemoryError:
+        print("gridslam: out of memory", file=sys.stderr)
+        sys.exit(1)
+
+
+if __name__ == "__main__":
+    main()

@@ -6,7 +6,6 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
-from gridslam.arguments import require_instance
 from gridslam.doctor.repair import open_repaired
 from gridslam.errors import ArgumentError, InputError
 from gridslam.evaluation.self_consistency import measure_self_consistency
@@ -24,7 +23,9 @@ from gridslam.types import Trajectory
 EVALUATION_SCHEMA = "gridslam.evaluation/1"
 
 
-def evaluate_trajectory(trajectory: str | Path, reference: str | Path, distance_m: float = 1.0) -> dict[str, Any]:
+def evaluate_trajectory(
+    trajectory: str | Path, reference: str | Path, distance_m: float = 1.0, *, is_part: bool = False
+) -> dict[str, Any]:
     """Score a trajectory file against relations, against another trajectory, or against its own scans.
 
     Parameters
@@ -36,6 +37,8 @@ def evaluate_trajectory(trajectory: str | Path, reference: str | Path, distance_
         corrections of `map_log`; or else the true trajectory, a file in TUM or EuRoC format.
     distance_m : float, m, > 0
         Path length between the pairs of poses of the RPE.
+    is_part : bool
+        Whether the trajectory is of a part of the log: only relations within its time are scored.
 
     Returns
     -------
@@ -49,36 +52,25 @@ def evaluate_trajectory(trajectory: str | Path, reference: str | Path, distance_
     InputError
         A file cannot be read, or the two have no times in common.
     """
-    scores = score_against_reference(read_trajectory(trajectory), trajectory, reference, distance_m)
-    return {"schema": EVALUATION_SCHEMA, "trajectory": str(trajectory), "reference": str(reference), **scores}
-
-
-def score_against_reference(
-    estimate: Trajectory,
-    source: str | Path,
-    reference: str | Path,
-    distance_m: float = 1.0,
-    *,
-    is_part: bool = False,
-) -> dict[str, Any]:
-    """Scores of a trajectory, which messages name `source`, against a file, as `evaluate_trajectory` computes them.
-
-    Of a part of the log only relations within its time count.
-    """
-    require_instance("estimate", estimate, Trajectory)
+    estimate = read_trajectory(trajectory)
     try:
-        if Path(reference).suffix == ".relations":
-            relations = read_relations(reference)
-            relations = clip_relations(relations, estimate) if is_part else relations
-            return {"relations": asdict(relation_errors(estimate, relations))}
-        if is_log(reference):
-            scans = (scan for _, scan in open_repaired(reference, None, "needed"))
-            return {"self_consistency": asdict(measure_self_consistency(estimate, scans))}
-        return score_against_truth(estimate, read_trajectory(reference), distance_m)
+        scores = _score(estimate, reference, distance_m, is_part)
     except ArgumentError as error:
         if error.argument == "distance_m":
             raise
-        raise InputError(source, f"cannot be compared with {reference}: {error}") from None
+        raise InputError(trajectory, f"cannot be compared with {reference}: {error}") from None
+    return {"schema": EVALUATION_SCHEMA, "trajectory": str(trajectory), "reference": str(reference), **scores}
+
+
+def _score(estimate: Trajectory, reference: str | Path, distance_m: float, is_part: bool) -> dict[str, Any]:
+    if Path(reference).suffix == ".relations":
+        relations = read_relations(reference)
+        relations = clip_relations(relations, estimate) if is_part else relations
+        return {"relations": asdict(relation_errors(estimate, relations))}
+    if is_log(reference):
+        scans = (scan for _, scan in open_repaired(reference, None, "needed"))
+        return {"self_consistency": asdict(measure_self_consistency(estimate, scans))}
+    return score_against_truth(estimate, read_trajectory(reference), distance_m)
 
 
 def score_against_truth(estimate: Trajectory, truth: Trajectory, distance_m: float = 1.0) -> dict[str, Any]:

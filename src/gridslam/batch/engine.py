@@ -11,12 +11,11 @@ from contextlib import closing, contextmanager, suppress
 from pathlib import Path
 from typing import Any, Final
 
-from gridslam.batch.child import run_job, start_row
+from gridslam.batch.child import run_job
 from gridslam.batch.job import Job
 from gridslam.batch.journal import Journal, read_rows
-from gridslam.errors import ArgumentError, InputError, OutputError
+from gridslam.errors import ArgumentError, OutputError
 from gridslam.io.output import remove_abandoned
-from gridslam.io.text import read_json
 
 try:
     import fcntl
@@ -36,8 +35,9 @@ def run_jobs(
 ) -> list[dict[str, Any]]:
     """Run jobs, at most once each, and write a row of the journal OUT/runs.sqlite for each.
 
-    A job is done when run.json in its folder has its key. Such jobs are not run again; those that failed are. A row is
-    written when its job has ended, so a batch that is killed at any time continues where it was.
+    A job is done when the journal has a row of its key that is done, and its folder is there. Such jobs are not run
+    again; those that failed are. A row is written when its job has ended, so a batch that is killed at any time
+    continues where it was.
 
     Parameters
     ----------
@@ -77,15 +77,11 @@ def run_jobs(
         before = {row["folder"]: row for row in read_rows(folder)}
         left = []
         for job in jobs:
-            document = _read_done(folder / job.folder / "run.json", job.key)
-            if document is None:
-                left.append(job)
-                continue
             row = before.get(job.folder, {})
-            if row.get("key") != job.key or row["status"] != "done":  # it was killed between its end and its row
-                row = start_row(job) | {"status": "done", "document": document}
-                journal.write(row)
-            record(row, resumed=True)
+            if row.get("key") == job.key and row["status"] == "done" and (folder / job.folder).is_dir():
+                record(row, resumed=True)
+            else:
+                left.append(job)
         with closing(_run(left, folder.absolute(), workers, timeout_s)) as ended:
             for row in ended:
                 journal.write(row)
@@ -105,16 +101,6 @@ def _run(
     finally:
         stopped.set()
         threads.shutdown(cancel_futures=True)
-
-
-def _read_done(path: Path, key: str) -> dict[str, Any] | None:
-    """Return content of run.json, if it is the result of the job with this key."""
-    with suppress(InputError):
-        document = read_json(path) if path.is_file() else {}
-        job = document.get("job")
-        if isinstance(job, dict) and job.get("key") == key:
-            return document
-    return None
 
 
 def _check(jobs: Sequence[Job], workers: int, timeout_s: float | None) -> None:

@@ -1,11 +1,11 @@
-"""One job of a batch: a function, its arguments, and the key of its result. JSON in and out."""
+"""One job of a batch: a command line, and the key of its result."""
 
 from __future__ import annotations
 
 import hashlib
 import json
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import Any, final
 
 from gridslam import __version__
@@ -15,16 +15,12 @@ from gridslam.errors import ArgumentError
 @final
 @dataclass(frozen=True, slots=True)
 class Job:
-    """A call of a function in a child process.
+    """A command line of gridslam that a child process runs.
 
     Attributes
     ----------
-    target : str
-        The function, "package.module:name", which takes a JSON object and returns one. It is called with `arguments`
-        and two more: ``out``, the path of the job's folder, and ``job``, what `summary` returns. The folder is the
-        function's to create, atomically; what it returns is written there as run.json, unless it has done so itself.
-    arguments : dict
-        JSON object.
+    words : tuple of str
+        The command line after `gridslam`, without ``--out`` and ``--json``.
     log : str
         Path of the log as the user gave it.
     folder : str
@@ -33,31 +29,29 @@ class Job:
         SHA-256 in hexadecimal of all that determines the result (see `compute_key`).
     command : str
         Name of the command, as "map".
+    configuration : str
+        TOML that the command gets as ``--config``; empty for none.
+    scoring : tuple of str
+        Reference and options with which `gridslam evaluate` scores the trajectory; empty where it is not scored.
 
     Raises
     ------
     ArgumentError
-        `folder` is no name of a visible folder, or `target` names no function.
+        `folder` is no name of a visible folder.
     """
 
-    target: str
-    arguments: dict[str, Any]
+    words: tuple[str, ...]
     log: str
     folder: str
     key: str
-    command: str = field(default="map")
+    command: str = "map"
+    configuration: str = ""
+    scoring: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
-        """Check the names."""
+        """Check the name."""
         if not self.folder or self.folder.startswith(".") or {"/", "\\", "\0"} & set(self.folder):
             raise ArgumentError("folder", "the name of a folder that begins with no point", repr(self.folder))
-        module, colon, name = self.target.partition(":")
-        if not (module and colon and name):
-            raise ArgumentError("target", "package.module:function", repr(self.target))
-
-    def summary(self) -> dict[str, Any]:
-        """Return the entry ``job`` of run.json: its key identifies the result of a finished job."""
-        return {"key": self.key, "command": self.command, "log": self.log, "folder": self.folder}
 
 
 def compute_key(command: str, log: str, parameters: Mapping[str, Any]) -> str:

@@ -30,7 +30,6 @@ from gridslam.io.maps import read_map_description
 from gridslam.io.text import measure_size
 from gridslam.parameters import to_table
 
-_TARGET = "gridslam.batch.commands:run_{}"
 _TRUE = ("1", "true", "yes", "on")
 _FALSE = ("0", "false", "no", "off")
 
@@ -50,10 +49,10 @@ def run_batch(
     """Run a command over many logs; returns the exit status."""
     make = _Maker(command, words)
     entries = find_logs(logs, reference=reference)
-    prepared = [make.prepare(entry) for entry in entries]
+    # the largest first: the last one is waited for alone
+    prepared = [(entry, *make.prepare(entry)) for entry in sorted(entries, key=lambda entry: -_measure(entry.path))]
     require_journal(out)
-    jobs = _make_jobs(command, entries, prepared)
-    jobs.sort(key=lambda job: -_measure(job.arguments["log"]))  # the largest first: the last one is waited for alone
+    jobs = _make_jobs(command, prepared)
     counts: Counter[str] = Counter()
 
     began_s = time.perf_counter()
@@ -102,7 +101,7 @@ def require_journal(out: Path) -> None:
 
 @final
 class _Maker:
-    """Reads the options of a command, as on its own command line, into the arguments of its jobs."""
+    """Reads the options of a command, as on its own command line, before any job begins."""
 
     def __init__(self, command: str, words: Sequence[str]) -> None:
         """Take the options that hold for all logs."""
@@ -118,15 +117,15 @@ class _Maker:
             if option.startswith("--")
         }
 
-    def prepare(self, entry: Entry) -> dict[str, Any]:
-        """Return the arguments for a log, except those from its bytes; raises InputError for an unknown column."""
+    def prepare(self, entry: Entry) -> tuple[tuple[str, ...], dict[str, Any]]:
+        """Return the options of a log and their values; raises InputError for an unknown column."""
         if self._command == "doctor" and entry.reference is not None:
             raise click.ClickException("doctor has no use for a reference")
         words = tuple(word for name, value in entry.options.items() for word in self._to_words(entry, name, value))
         if not words:
-            return self._read(self._words)
+            return self._words, self._read(self._words)
         try:
-            return self._read(self._words + words)
+            return self._words + words, self._read(self._words + words)
         except (click.ClickException, GridslamError) as error:
             text = error.format_message() if isinstance(error, click.ClickException) else str(error)
             raise ConfigurationError(f"{entry.where}: {text}") from None
@@ -202,24 +201,26 @@ def _read_doctor(options: LogOptions) -> dict[str, Any]:
 _PARSERS = {"map": _read_map, "doctor": _read_doctor, "localize": _read_localize}
 
 
-def _make_jobs(command: str, entries: Sequence[Entry], prepared: Sequence[Mapping[str, Any]]) -> list[Job]:
+def _make_jobs(command: str, prepared: Sequence[tuple[Entry, tuple[str, ...], Mapping[str, Any]]]) -> list[Job]:
     describe = cache(_describe)
     find_image = cache(_find_image)
     jobs = []
-    for entry, arguments in zip(entries, prepared, strict=True):
+    for entry, words, values in prepared:
         files = [entry.reference] if entry.reference else []
-        files += [arguments["map"], find_image(arguments["map"])] if "map" in arguments else []
-        parameters = {name: value for name, value in arguments.items() if name != "threads"}
+        files += [values["map"], find_image(values["map"])] if "map" in values else []
+        parameters = {name: value for name, value in values.items() if name != "threads"}
         parameters["files"] = [describe(path) for path in files]
-        every = {
-            "log": entry.path,
-            "reference": entry.reference,
-            "max_memory_bytes": max_memory_bytes(),
-            **arguments,
-        }
         key = compute_key(command, describe(entry.path), parameters)
-        jobs.append(Job(_TARGET.format(command), every, entry.log, entry.name, key, command))
+        every = ("--max-memory", str(max_memory_bytes() / 1e9), command, entry.path, *words)
+        every += ("--no-history",) * (command != "doctor")
+        scoring = () if entry.reference is None else make_scoring(entry.reference, values["options"])
+        jobs.append(Job(every, entry.log, entry.name, key, command, scoring=scoring))
     return jobs
+
+
+def make_scoring(reference: str, options: Mapping[str, Any]) -> tuple[str, ...]:
+    """Return the words after TRAJECTORY of `gridslam evaluate` for a run on the part of a log that options choose."""
+    return (reference, "--part") if options["duration_s"] is not None or options["start_s"] > 0 else (reference,)
 
 
 def _measure(path: str) -> int:

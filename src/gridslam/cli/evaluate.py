@@ -12,10 +12,10 @@ from gridslam.evaluation.self_consistency import SelfConsistency
 from gridslam.evaluation.trajectory import PoseErrors, RelationErrors
 
 
-def evaluate(trajectory: Path, reference: Path, distance_m: float, as_json: bool) -> None:
+def evaluate(trajectory: Path, reference: Path, distance_m: float, is_part: bool, as_json: bool) -> None:
     """Score a trajectory against relations, against another trajectory, or against its own scans in a log."""
     with name_option(distance_m="--distance"):
-        document = evaluate_trajectory(trajectory, reference, distance_m)
+        document = evaluate_trajectory(trajectory, reference, distance_m, is_part=is_part)
     print_result(document, format_scores(document), as_json)
 
 

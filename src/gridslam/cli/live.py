@@ -182,17 +182,13 @@ def open_page(url: str, live: LiveOptions) -> None:
             warn("no browser was found to open the page")
 
 
-def view(out: Path, live: LiveOptions, *, edit: bool = False) -> None:
+def view(out: Path, live: LiveOptions) -> None:
     """Show a finished run in the browser until interrupted, which is how it ends well."""
-    from gridslam.live.edits import EditsFile
     from gridslam.live.replay import Replay
     from gridslam.live.server import PageServer
 
-    if edit and not live.is_local:
-        raise click.UsageError("--edit contradicts --live-host: who can open the page could change the edits")
-    edits = EditsFile(out, warn) if edit else None
-    replay = Replay(out, live.speed or 10.0, edit)
-    with serve_page(PageServer(replay, live, edits=edits)) as page:
+    replay = Replay(out, live.speed or 10.0)
+    with serve_page(PageServer(replay, live)) as page:
         for message in replay.found.messages[: replay.found.grid is None]:
             warn(f"{out}: {message['text']}")
         click.echo(f"{out}: open {page.url} (Ctrl-C ends)")

@@ -57,7 +57,9 @@ def _report_failure(error: BaseException) -> int:
         return _print_error(str(error), 2)
     if isinstance(error, BrokenPipeError):  # whoever read the output has gone
         return 1
-    if isinstance(error, GridslamError | OSError | MemoryError):
+    if isinstance(error, MemoryError):
+        return _print_error(f"out of memory: {error}".removesuffix(": "), 1)
+    if isinstance(error, GridslamError | OSError):
         return _print_error(str(error) or type(error).__name__, 1)
     if is_interrupted():
         return _print_error("interrupted", 130)

@@ -38,7 +38,7 @@ def map_to_folder(
     def report(text: str) -> None:
         viewers.report(text)
 
-    source = check_log(open_log(log, given.options), given.options, report, is_mapped=True)
+    source = check_log(open_log(log, given.options), given.options, report)
     with open_viewers(
         live, source.path.name, configuration.range_max_m, out=out, has_history=not no_history
     ) as viewers:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import functools
+import importlib
 import math
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
@@ -16,6 +17,7 @@ from gridslam.cli.option_types import OUT, OUTPUT_FILE, PATH, SECONDS, SEED, THR
 from gridslam.errors import ArgumentError
 
 if TYPE_CHECKING:
+    from gridslam.cli.session_options import SessionOptions
     from gridslam.config import Configuration
     from gridslam.io.log import LogOptions
     from gridslam.live.options import LiveOptions
@@ -90,53 +92,86 @@ _WAIT_OPTION = click.option(
 )
 
 
-def log_options(command: _Command) -> _Command:
-    """Add the options that select the data of a log; a command receives them as ``options``: LogOptions."""
+def calls(target: str) -> Callable[[Callable[[], None]], Callable[..., Any]]:
+    """Decorate the help of a command whose code, "module:function" of `gridslam.cli`, is imported when it runs."""
+    module, _, function = target.partition(":")
+
+    def decorate(command: Callable[[], None]) -> Callable[..., Any]:
+        @functools.wraps(command)
+        def run(**options: Any) -> Any:  # noqa: ANN401
+            return getattr(importlib.import_module(f"gridslam.cli.{module}"), function)(**options)
+
+        return run
+
+    return decorate
+
+
+def _gather(
+    command: _Command, options: Sequence[Callable[..., Any]], into: str, names: Sequence[str], make: Callable[..., Any]
+) -> _Command:
+    """Add options to a command, which gets those of these names as one argument, an object that `make` returns."""
 
     @functools.wraps(command)
     def wrapper(**given: Any) -> Any:  # noqa: ANN401
-        from gridslam.io.log import LogOptions
+        gathered = make(**{name: given.pop(name) for name in names if name in given})
+        return command(**{into: gathered}, **given)
 
-        fields = {name: given.pop(name) for name in _LOG_FIELDS}
-        with name_option(start_s="--start", duration_s="--duration"):
-            options = LogOptions(**fields)
-        return command(options=options, **given)
+    return add_options(wrapper, options)  # type: ignore[return-value]
 
-    return add_options(wrapper, _LOG_OPTIONS)  # type: ignore[return-value]
+
+def log_options(command: _Command) -> _Command:
+    """Add the options that select the data of a log; a command receives them as ``options``: LogOptions."""
+    return _gather(command, _LOG_OPTIONS, "options", _LOG_FIELDS, _make_log_options)
+
+
+def to_words(options: LogOptions) -> list[str]:
+    """Return the words of a command line that select the same data of a log."""
+    words = []
+    for option in click.command(log_options(lambda **given: None)).params:
+        value = getattr(options, str(option.name))
+        if value is True:
+            words.append(option.opts[0])
+        elif value is not False and value is not None:
+            words += [f"{option.opts[0]}={one}" for one in (value if option.multiple else [value])]
+    return words
+
+
+def _make_log_options(**given: Any) -> LogOptions:  # noqa: ANN401
+    from gridslam.io.log import LogOptions
+
+    with name_option(start_s="--start", duration_s="--duration"):
+        return LogOptions(**given)
 
 
 def live_options(command: _Command) -> _Command:
     """Add --live and the options of its page to a command, which gets them as ``live``: LiveOptions, or None."""
-    return _add_live_options(command, (_LIVE_OPTION, *_HOST_OPTIONS, _OPEN_OPTION, _SPEED_OPTION, _WAIT_OPTION))
+    options = (_LIVE_OPTION, *_HOST_OPTIONS, _OPEN_OPTION, _SPEED_OPTION, _WAIT_OPTION)
+    return _gather(command, options, "live", ("live", *_LIVE_NAMES), _make_live_options)
 
 
 def robot_live_options(command: _Command) -> _Command:
     """Add the options of `live_options` without speed and waiting, as no robot waits."""
-    return _add_live_options(command, (_LIVE_OPTION, *_HOST_OPTIONS, _OPEN_OPTION))
+    options = (_LIVE_OPTION, *_HOST_OPTIONS, _OPEN_OPTION)
+    return _gather(command, options, "live", ("live", *_LIVE_NAMES), _make_live_options)
 
 
 def host_options(command: _Command) -> _Command:
     """Add the options of the page to a command that serves one anyway, and gets them as ``live``."""
-
-    @functools.wraps(command)
-    def wrapper(**given: Any) -> Any:  # noqa: ANN401
-        live = _read_live_options({name: given.pop(name) for name in _LIVE_NAMES if name in given})
-        return command(live=live, **given)
-
-    return add_options(wrapper, (*_HOST_OPTIONS, _OPEN_OPTION, _SPEED_OPTION))  # type: ignore[return-value]
+    options = (*_HOST_OPTIONS, _OPEN_OPTION, _SPEED_OPTION)
+    return _gather(command, options, "live", tuple(_LIVE_NAMES), _make_live_options)
 
 
-def _add_live_options(command: _Command, options: Sequence[Callable[..., Any]]) -> _Command:
-    @functools.wraps(command)
-    def wrapper(live: bool, **given: Any) -> Any:  # noqa: ANN401
-        chosen = {name: given.pop(name) for name in _LIVE_NAMES if name in given}
-        if not live:
-            for name, value in chosen.items():
-                if value is not None and value is not False:
-                    raise click.UsageError(f"{_LIVE_NAMES[name]} needs --live")
-        return command(live=_read_live_options(chosen) if live else None, **given)
+def _make_live_options(*, live: bool = True, **given: Any) -> LiveOptions | None:  # noqa: ANN401
+    from gridslam.live.options import LiveOptions
 
-    return add_options(wrapper, options)  # type: ignore[return-value]
+    chosen = {name: value for name, value in given.items() if value is not None and value is not False}
+    if not live:
+        for name in chosen:
+            raise click.UsageError(f"{_LIVE_NAMES[name]} needs --live")
+        return None
+    fields = {name.removeprefix("live_"): value for name, value in chosen.items()}
+    with name_option(port="--live-port", host="--live-host", speed="--live-speed", wait_s="--wait"):
+        return LiveOptions(**fields)
 
 
 def read_pose(ctx: click.Context, param: click.Parameter, text: str | None) -> tuple[float, float, float] | None:
@@ -171,14 +206,6 @@ def add_options(command: Callable[..., Any], options: Sequence[Callable[..., Any
     return command
 
 
-def _read_live_options(given: dict[str, Any]) -> LiveOptions:
-    from gridslam.live.options import LiveOptions
-
-    fields = {name.removeprefix("live_"): value for name, value in given.items() if value is not None}
-    with name_option(port="--live-port", host="--live-host", speed="--live-speed", wait_s="--wait"):
-        return LiveOptions(**fields)
-
-
 @dataclass(frozen=True)
 class MapOptions:
     """The options that determine the result of `gridslam map`; `options` select the data of the log."""
@@ -210,28 +237,20 @@ class MapOptions:
 
 def map_options(command: _Command) -> _Command:
     """Add the options that determine the result of `gridslam map`, which a command gets as ``given``: MapOptions."""
-
-    @functools.wraps(command)
-    def wrapper(**options: Any) -> Any:  # noqa: ANN401
-        given = MapOptions(**{each.name: options.pop(each.name) for each in fields(MapOptions)})
-        return command(given=given, **options)
-
-    return add_options(wrapper, _MAP_OPTIONS)  # type: ignore[return-value]
+    return _gather(command, _MAP_OPTIONS, "given", [each.name for each in fields(MapOptions)], MapOptions)
 
 
 def session_options(command: _Command) -> _Command:
     """Add the options of sessions to a command that maps, which gets them as ``session``: SessionOptions."""
+    return _gather(command, _SESSION_OPTIONS, "session", _SESSION_FIELDS, _make_session_options)
 
-    @functools.wraps(command)
-    def wrapper(**given: Any) -> Any:  # noqa: ANN401
-        from gridslam.cli.session_options import SessionOptions
 
-        fields = {name: given.pop(name) for name in _SESSION_FIELDS}
-        options = SessionOptions(**fields)
-        options.check(click.get_current_context())
-        return command(session=options, **given)
+def _make_session_options(**given: Any) -> SessionOptions:  # noqa: ANN401
+    from gridslam.cli.session_options import SessionOptions
 
-    return add_options(wrapper, _SESSION_OPTIONS)  # type: ignore[return-value]
+    options = SessionOptions(**given)
+    options.check(click.get_current_context())
+    return options
 
 
 def localize_options(command: _Command) -> _Command:
@@ -313,4 +332,5 @@ _EVALUATE_OPTIONS = (
         metavar="M",
         help="Path length between the pose pairs of the RPE, m.",
     ),
+    click.option("--part", "is_part", is_flag=True, help="Score only the relations within the time of TRAJECTORY."),
 )

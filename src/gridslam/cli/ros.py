@@ -15,39 +15,28 @@ from gridslam.ros.node.session import Localization
 from gridslam.ros.node.transport import RunOptions, ViewerOpener
 
 
-def _collect_parameters(assignments: Sequence[str] = (), **options: Any) -> dict[str, Any]:  # noqa: ANN401
+def _make_run_options(title: str, live: LiveOptions | None, options: dict[str, Any]) -> RunOptions:
     """Return the options of the command line under the names of the node's parameters, without those not given."""
-    options = {"continue": options.pop("continued"), "set": ";".join(assignments), **options}
+    options |= {"continue": options.pop("continued"), "set": ";".join(options.pop("assignments"))}
     given = {name: str(value) if isinstance(value, Path) else value for name, value in options.items()}
-    return {name: value for name, value in given.items() if value not in (None, "")}
+    given = {name: value for name, value in given.items() if value not in (None, "")}
+    return RunOptions(given, make_viewer_opener(title, live), stop_if_interrupted)
 
 
 @end_by_signal()
-def ros1(
-    arguments: Sequence[str],
-    *,
-    live: LiveOptions | None = None,
-    **options: Any,  # noqa: ANN401
-) -> None:
+def ros1(arguments: Sequence[str], live: LiveOptions | None, **options: Any) -> None:  # noqa: ANN401
     """Run the ROS 1 node until it is stopped."""
     from gridslam.ros.ros1.ros1 import run_ros1
 
-    viewers = make_viewer_opener("ROS 1", live)
-    run_ros1(arguments, RunOptions(_collect_parameters(**options), viewers, stop_if_interrupted))
+    run_ros1(arguments, _make_run_options("ROS 1", live, options))
 
 
 @end_by_signal()
-def ros2(
-    arguments: Sequence[str],
-    *,
-    live: LiveOptions | None = None,
-    **options: Any,  # noqa: ANN401
-) -> None:
+def ros2(arguments: Sequence[str], live: LiveOptions | None, **options: Any) -> None:  # noqa: ANN401
     """Run the ROS 2 node until it is stopped."""
     from gridslam.ros.ros2.rclpy_transport import run_rclpy
 
-    viewers = make_viewer_opener("ROS 2", live)
-    run_rclpy(arguments, RunOptions(_collect_parameters(**options), viewers, stop_if_interrupted))
+    run_rclpy(arguments, _make_run_options("ROS 2", live, options))
 
 
 def make_viewer_opener(title: str, live: LiveOptions | None) -> ViewerOpener:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections import Counter
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from dataclasses import asdict, dataclass
 from itertools import dropwhile
 from pathlib import Path
@@ -90,11 +90,6 @@ class LogOptions:
                 raise ArgumentError(name, f"a time of at most {_MOST_S:g} s", getattr(self, name))
         if self.every < 1:
             raise ArgumentError("every", "a number >= 1", self.every)
-
-    @classmethod
-    def from_dict(cls, values: Mapping[str, Any]) -> LogOptions:
-        """Return options from the JSON values of `to_dict`; raises ArgumentError where a number is out of its range."""
-        return cls(**{**values, "scan_topics": tuple(values["scan_topics"])})
 
     def to_dict(self) -> dict[str, Any]:
         """Return all options as JSON values."""

@@ -26,8 +26,6 @@ class Replay:
         OUT of `gridslam map`, `localize`, `grid` or `merge`. Without `history.npz` the end is shown alone.
     speed : float, > 0
         Initial factor on real time.
-    is_editable : bool
-        Whether the page shows the tools by which the map is edited.
 
     Raises
     ------
@@ -35,7 +33,7 @@ class Replay:
         A file is missing or malformed, the files are not of one run, or another command wrote the folder.
     """
 
-    def __init__(self, folder: str | Path, speed: float = 10.0, is_editable: bool = False) -> None:
+    def __init__(self, folder: str | Path, speed: float = 10.0) -> None:
         """Read the folder."""
         out = Path(folder)
         found = read_finished_run(out)
@@ -57,7 +55,6 @@ class Replay:
             "path": len(self.path) > 0,
             "closures": not found.is_localization and history is not None,
             "truth": len(found.truth) > 0,
-            "edits": is_editable,
             **dict.fromkeys(("scan", "particles", "n_eff", "latency"), history is not None),
         }
         shown = tuple(name for name, is_shown in layers.items() if is_shown)

@@ -7,7 +7,7 @@ import errno
 import json
 import socket
 import threading
-from collections.abc import Awaitable, Callable, Mapping, Sequence
+from collections.abc import Awaitable, Callable, Mapping
 from contextlib import suppress
 from pathlib import Path
 from typing import Any, Protocol, final
@@ -19,12 +19,11 @@ from starlette.middleware.base import BaseHTTPMiddleware
 from starlette.middleware.trustedhost import TrustedHostMiddleware
 from starlette.requests import Request
 from starlette.responses import Response
-from starlette.routing import BaseRoute, Mount, WebSocketRoute
+from starlette.routing import Mount, WebSocketRoute
 from starlette.staticfiles import StaticFiles
 from starlette.websockets import WebSocket, WebSocketDisconnect
 
 from gridslam.errors import ArgumentError, OutputError
-from gridslam.live.edits import EditsFile, is_foreign, make_edit_route
 from gridslam.live.options import LiveOptions
 from gridslam.live.protocol import encode
 
@@ -77,8 +76,6 @@ class PageServer:
         Content of the page; from now on only this server's thread may use it, see `call`.
     options : LiveOptions
         Address of the page.
-    edits : EditsFile, optional
-        Edits of the map, that pages may change.
 
     Raises
     ------
@@ -86,13 +83,12 @@ class PageServer:
         On entering: the port is in use, or the address is not one of this machine.
     """
 
-    def __init__(self, content: PageContent, options: LiveOptions, edits: EditsFile | None = None) -> None:
+    def __init__(self, content: PageContent, options: LiveOptions) -> None:
         """Create the server without listening."""
         self._options = options
-        routes = [] if edits is None else [make_edit_route(edits)]
         names = ["127.0.0.1", "localhost", "::1", "[::1]", options.host] if options.is_local else ["*"]
         config = uvicorn.Config(
-            _make_application(content, names, routes),
+            _make_application(content, names),
             http="h11",
             ws="websockets-sansio",
             limit_concurrency=_MOST_CONNECTIONS,
@@ -172,7 +168,7 @@ def _ignore_connections(loop: asyncio.AbstractEventLoop, context: dict[str, Any]
         loop.default_exception_handler(context)
 
 
-def _make_application(content: PageContent, names: list[str], routes: Sequence[BaseRoute]) -> Starlette:
+def _make_application(content: PageContent, names: list[str]) -> Starlette:
     """Return the page of a content, for requests to a host of these names, against DNS rebinding."""
 
     async def add_headers(request: Request, proceed: Callable[[Request], Awaitable[Response]]) -> Response:
@@ -182,13 +178,14 @@ def _make_application(content: PageContent, names: list[str], routes: Sequence[B
 
     async def answer(websocket: WebSocket) -> None:
         await websocket.accept()
-        if is_foreign(websocket):
+        origin = websocket.headers.get("origin")
+        if origin is not None and origin.partition("://")[2] != websocket.headers.get("host"):
             await websocket.close(_FOREIGN, "this page is another one's")
         else:
             await _serve_viewer(websocket, content.add_viewer())
 
     return Starlette(
-        routes=[WebSocketRoute("/socket", answer), *routes, Mount("/", StaticFiles(directory=_HERE, html=True))],
+        routes=[WebSocketRoute("/socket", answer), Mount("/", StaticFiles(directory=_HERE, html=True))],
         middleware=[
             Middleware(TrustedHostMiddleware, allowed_hosts=names, www_redirect=False),
             Middleware(BaseHTTPMiddleware, dispatch=add_headers),

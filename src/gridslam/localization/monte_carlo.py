@@ -20,17 +20,27 @@ from gridslam.geometry.se2 import between, compose, log
 from gridslam.localization.belief import (
     CLUSTER_RADIUS_M,
     CLUSTER_RADIUS_RAD,
-    HypothesisTracker,
     PoseEstimate,
     estimate_pose,
+    join_hypotheses,
     propagate_covariance,
+    sample_hypotheses,
+    update_hypotheses,
 )
 from gridslam.localization.kld_sampling import KldSampling
 from gridslam.localization.known_map import KnownMap, PoseLikelihood
-from gridslam.localization.match_covariance import MatchCovariance
+from gridslam.localization.match_covariance import compute_match_covariance
 from gridslam.localization.odometry_check import OdometryCheck
-from gridslam.localization.place_verification import CERTAINLY_INSIDE, NO_SCANS, PlaceVerification
-from gridslam.localization.recovery import AugmentedRecovery, MeasurementProposal
+from gridslam.localization.place_verification import (
+    CERTAINLY_INSIDE,
+    MOST_SCANS,
+    NO_SCANS,
+    bound_outside_log_odds,
+    compute_outside_log_odds,
+    find_rivals,
+    update_outside_log_odds,
+)
+from gridslam.localization.recovery import AugmentedRecovery, propose_poses
 from gridslam.localization.state import LocalizationReport, LocalizationSkip, MonteCarloState, validate_poses
 from gridslam.matching.beam_order import BeamOrder
 from gridslam.matching.gauss_newton import NO_PRIOR, GaussNewton, degenerate_direction
@@ -56,6 +66,7 @@ from gridslam.types import (
 _UNKNOWN_POSE = PoseEstimate(np.zeros(3), np.diag([1e6, 1e6, math.pi**2]), 0.0)
 _ROUNDING = 1e-6 * np.eye(3)  # a millimetre, for beliefs without any spread
 _CLUSTER = np.diag([CLUSTER_RADIUS_M / 2, CLUSTER_RADIUS_M / 2, CLUSTER_RADIUS_RAD / 2]) ** 2
+_NEW_PLACE = 0.25  # of `lost_above`: rooms that are not mapped look like mapped ones for the first metres
 _MAX_EVALUATED = 500  # particles whose agreement with a scan stands for that of all
 
 
@@ -76,18 +87,10 @@ class MonteCarloConfiguration:
         that look alike would be distinguished.
     recovery : AugmentedRecovery
         How probable it is that the robot is somewhere else.
-    proposal : MeasurementProposal
-        Where it may be, then and at the start.
-    hypotheses : HypothesisTracker
-        Tracking of alternative pose hypotheses.
-    verification : PlaceVerification
-        Search for other places before the robot counts as found.
     matcher : GaussNewton
         Moves the reported pose from the mean of the particles to where the scan fits best; max_iterations=0: not at
         all, as AMCL. Walls of a map that many scans have made, or someone has drawn, are lines: no end on them is but a
         dot. Of ends that all count, less information than 2 % along a direction is that of a corridor's cells.
-    match_covariance : MatchCovariance
-        How exact that pose is.
     beam_order_margin : float, [0, 1]
         Gain of the inlier ratio required to deskew a scan in another order than its driver reports: some report beam
         times in reverse order or without meaning. Smaller gains occur by the rounding of the map to cells.
@@ -113,8 +116,9 @@ class MonteCarloConfiguration:
         Inlier ratio with the map below which the robot is lost; random poses have 0.2. The lost probability starts to
         grow below one and a half times this ratio.
     lost_above : float, (0, 1)
-        Lost probability above which the robot is lost. With two places that look alike it is far above, whatever little
-        evidence a scan has.
+        Lost probability above which the robot is lost; until the reported place was verified also a quarter of it, as
+        the probability of all other places. With two that look alike it is far above, whatever little evidence a scan
+        has.
     confirm_distance_m : float, m, > 0
         The lost probability of a new fix includes exp(-path / confirm_distance_m): driving on disambiguates places that
         look alike.
@@ -131,11 +135,7 @@ class MonteCarloConfiguration:
         default_factory=lambda: LikelihoodField(tempering=0.05)
     )
     recovery: AugmentedRecovery = field(default_factory=AugmentedRecovery)
-    proposal: MeasurementProposal = field(default_factory=MeasurementProposal)
-    hypotheses: HypothesisTracker = field(default_factory=HypothesisTracker)
-    verification: PlaceVerification = field(default_factory=PlaceVerification)
     matcher: GaussNewton = field(default_factory=lambda: GaussNewton(point_to_line=False, min_information=0.02))
-    match_covariance: MatchCovariance = field(default_factory=MatchCovariance)
     beam_order_margin: float = bounded(0.05, ge=0, le=1)
     kld: KldSampling = field(default_factory=KldSampling)
     when_to_update: MotionThreshold = field(default_factory=lambda: MotionThreshold(0.2, 0.2))
@@ -239,7 +239,7 @@ class MonteCarloLocalization:
         if reason := self._skip_reason(state, odometry, moved, beams):
             report = self._report_skipped(state, odometry, scan, moved, reason)
             return state, self._refine_pose(state.note_found(report), beams)
-        state.add_particles(*self.configuration.hypotheses.sample(state.hypotheses, len(state.poses), rng))
+        state.add_particles(*sample_hypotheses(state.hypotheses, len(state.poses), rng))
         poses = self._motion(moved)(state.poses, rng)  # x_t ~ p(x_t | u_t, x_t-1)
         log_likelihood = self._likelihood(beams)
         log_weights = state.log_weights + log_likelihood(poses)  # w_t = w_t-1 p(z_t | x_t, m)
@@ -294,7 +294,7 @@ class MonteCarloLocalization:
 
         def share(beams: Beams) -> float:
             pose = self._match(guess, state.estimate.covariance, beams)
-            return float(self._inlier_ratio(beams)(pose[None])[0])
+            return float(self.map.inlier_ratio(beams.ends)(pose[None])[0])
 
         order = BeamOrder().learn(beams, twist, share).best(self.configuration.beam_order_margin)
         return beams.deskew(order * twist)
@@ -321,7 +321,7 @@ class MonteCarloLocalization:
         if report.lost:
             return replace(report, pose=self._match(report.pose, report.covariance, beams))
         pose = self._match_from_several(report.pose, report.covariance, beams)
-        covariance = self.configuration.match_covariance(self.map, matcher, pose, report.covariance + _ROUNDING, beams)
+        covariance = compute_match_covariance(self.map, matcher, pose, report.covariance + _ROUNDING, beams)
         return replace(report, pose=pose, covariance=covariance)
 
     def _match(self, pose: FloatArray, covariance: FloatArray, beams: Beams) -> FloatArray:
@@ -389,10 +389,6 @@ class MonteCarloLocalization:
             return np.ones(len(beams), np.bool_)
         return ~self.map.ends_beyond(pose, beams.ends, beams.origin)
 
-    def _inlier_ratio(self, beams: Beams) -> PoseLikelihood:
-        """Return share (N,) of the beams that agree with the map at poses (N, 3)."""
-        return self.map.inlier_ratio(beams.ends)
-
     def _inject_particles(
         self,
         poses: FloatArray,
@@ -403,7 +399,7 @@ class MonteCarloLocalization:
         rng: np.random.Generator,
     ) -> tuple[FloatArray, FloatArray]:
         """Mix particles into the belief that stand for a share of it, even over the map, and are weighed like it."""
-        drawn, log_drawn = self.configuration.proposal(self.map, beams, log_likelihood, share, rng)
+        drawn, log_drawn = propose_poses(self.map, beams, log_likelihood, share, rng)
         if share == 1:
             return drawn, log_drawn
         mixed = np.concatenate([log_weights + math.log1p(-share), log_drawn + math.log(share)])
@@ -425,13 +421,11 @@ class MonteCarloLocalization:
         rng: np.random.Generator,
     ) -> LocalizationReport:
         """Report of an update, before resampling; stores the estimate and the pose hypotheses in the state."""
-        agree = self._inlier_ratio(beams)
+        agree = self.map.inlier_ratio(beams.ends)
         estimate = estimate_pose(state.poses, weights)
         state.inlier_ratio = float(agree(estimate.pose[None])[0])
         state.update_estimate(estimate, moved)
-        state.hypotheses = self.configuration.hypotheses(
-            state.hypotheses, moved, estimate, state.poses, weights, agree, rng
-        )
+        state.hypotheses = update_hypotheses(state.hypotheses, moved, estimate, state.poses, weights, agree, rng)
         self._verify_place(state, moved, beams, share, rng)
         return LocalizationReport(
             scan.stamp_ns,
@@ -454,31 +448,21 @@ class MonteCarloLocalization:
         Where the reported place is one of a `share` of particles drawn from all over the map, odometry may not connect
         this scan with those before.
         """
-        verification = self.configuration.verification
-        tracker = self.configuration.hypotheses
-        if not verification.scans:
-            return
         before = NO_SCANS if share and not state.driven_since_found_m else state.recent
-        state.recent = before.append(moved, beams, verification.scans)
+        state.recent = before.append(moved, beams, MOST_SCANS)
         reported = state.estimate.pose
         if state.outside_log_odds is None:
-            state.outside_log_odds = verification.compute_outside_log_odds(
-                self.map, reported, state.recent, tracker, rng
-            )
+            state.outside_log_odds = compute_outside_log_odds(self.map, reported, state.recent, rng)
         else:
-            state.outside_log_odds = verification.update_outside_log_odds(
-                state.outside_log_odds, self.map, reported, state.recent
-            )
-        if state.verified or self._lost_probability(state) > self.configuration.lost_above:
+            state.outside_log_odds = update_outside_log_odds(state.outside_log_odds, self.map, reported, state.recent)
+        if state.verified or self._is_lost(state):
             return
-        found, alike_m = verification(
-            self.map, reported, state.recent, lambda guesses: self._match_near(guesses, _CLUSTER, beams), tracker, rng
+        found, alike_m = find_rivals(
+            self.map, reported, state.recent, lambda guesses: self._match_near(guesses, _CLUSTER, beams), rng
         )
-        state.outside_log_odds = verification.bound_outside_log_odds(
-            state.outside_log_odds, state.driven_since_found_m, alike_m
-        )
-        state.hypotheses = tracker.join(state.hypotheses, found, reported)
-        state.verified = self._lost_probability(state) <= self.configuration.lost_above
+        state.outside_log_odds = bound_outside_log_odds(state.outside_log_odds, state.driven_since_found_m, alike_m)
+        state.hypotheses = join_hypotheses(state.hypotheses, found, reported)
+        state.verified = not self._is_lost(state)
 
     def _report_skipped(
         self,
@@ -513,20 +497,30 @@ class MonteCarloLocalization:
         """
         probability = self._lost_probability(state)
         odds = state.hypotheses.odds
-        if probability <= self.configuration.lost_above:
+        if not self._is_lost(state):
             return covariance, probability, False
         theirs = min(probability, odds / (1 + odds))
         elsewhere = theirs * state.hypotheses.spread_about(state.estimate.pose)
         elsewhere += (probability - theirs) * self.map.spread_about(pose)
         return (1 - probability) * covariance + elsewhere, probability, True
 
+    def _is_lost(self, state: MonteCarloState) -> bool:
+        """Return whether the robot is lost; a new place must leave less to others than one that was verified."""
+        limit = self.configuration.lost_above
+        if not state.verified and 1 - self._place_probability(state) > _NEW_PLACE * limit:
+            return True
+        return self._lost_probability(state) > limit
+
+    def _place_probability(self, state: MonteCarloState) -> float:
+        """Return the probability of the reported place among all others, those outside the map included."""
+        outside = 0.0 if state.outside_log_odds is None else math.exp(state.outside_log_odds)
+        return min(state.estimate.mass, 1 / (1 + state.hypotheses.odds + outside))
+
     def _lost_probability(self, state: MonteCarloState) -> float:
         """Combine the cluster's mass, the hypotheses elsewhere, the distance since the fix, and the fit of the scan.
 
         What recovery draws from elsewhere is in the belief already: it has been weighed by the scan.
         """
-        outside = 0.0 if state.outside_log_odds is None else math.exp(state.outside_log_odds)
-        place = min(state.estimate.mass, 1 / (1 + state.hypotheses.odds + outside))
         followed = -math.expm1(-state.driven_since_found_m / self.configuration.confirm_distance_m)
         fits = min(max(state.inlier_ratio / self.configuration.lost_below - 0.5, 0.0), 1.0) if state.updates else 1.0
-        return 1 - place * followed * fits
+        return 1 - self._place_probability(state) * followed * fits

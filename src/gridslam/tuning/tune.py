@@ -10,9 +10,8 @@ from typing import Any, Final, final
 import numpy as np
 
 from gridslam.batch.job import Job, compute_key
-from gridslam.config import Configuration
+from gridslam.config import Configuration, dumps
 from gridslam.errors import ArgumentError, InputError, MissingDependencyError
-from gridslam.io.log import LogOptions
 from gridslam.parameters import to_table
 from gridslam.tuning.comparison import Comparison, Pair, compare
 from gridslam.tuning.search_space import SearchSpace, Value
@@ -23,7 +22,6 @@ _TRIALS_PER_DIMENSION: Final = 3
 
 _BATCH: Final = 8
 """Configurations that are asked for together, so that workers have something to do."""
-_TARGET: Final = "gridslam.batch.commands:run_map"
 _LOSSES: Final = {"relations": "trans_mean_m", "ate": "trans_rmse_m", "self_consistency": "nats_per_beam"}
 """Figure of each kind of scores of `gridslam evaluate` that is the loss: m, m, nats a beam."""
 _WORST: Final = 1e6
@@ -65,10 +63,12 @@ class Settings:
         Of the search, and of its runs; those that judge have the next ones.
     judging_seeds : int
         Runs of each log by which the best is judged, each with a seed of its own.
-    options, repair, threads
+    options : tuple of str
+        Options of `gridslam map` that choose a part of each log, and what is repaired.
+    program_options, evaluate_options : tuple of str
+        Options of `gridslam` itself, and of `gridslam evaluate`.
+    threads : int
         As in `map_log`.
-    max_memory_bytes : int
-        As in `limit_memory`.
     """
 
     base: Configuration
@@ -76,9 +76,9 @@ class Settings:
     trials: int
     seed: int = 0
     judging_seeds: int = 5
-    options: LogOptions = field(default_factory=LogOptions)
-    repair: str = "needed"
-    max_memory_bytes: int = 1 << 32
+    options: tuple[str, ...] = ()
+    program_options: tuple[str, ...] = ()
+    evaluate_options: tuple[str, ...] = ()
     threads: int = 1
 
 
@@ -263,21 +263,18 @@ class Tuner:
 
     def _job(self, configuration: Configuration, seed: int, log: TunedLog) -> Job:
         settings = self.settings
-        parameters = {
-            "configuration": to_table(configuration),
-            "seed": seed,
-            "options": settings.options.to_dict(),
-            "repair": settings.repair,
-        }
+        parameters = {"configuration": to_table(configuration), "seed": seed, "options": settings.options}
         key = compute_key("tune", log.digest, {**parameters, "reference": log.reference_digest})
-        arguments = {
-            **parameters,
-            "log": log.path,
-            "reference": log.reference or log.path,
-            "max_memory_bytes": settings.max_memory_bytes,
-            "threads": settings.threads,
-        }
-        return Job(_TARGET, arguments, log.path, f"{log.name}-{key[:16]}", key, "tune")
+        seeded = ("--no-history", "--seed", str(seed), "--threads", str(settings.threads))
+        return Job(
+            (*settings.program_options, "map", log.path, *seeded, *settings.options),
+            log.path,
+            f"{log.name}-{key[:16]}",
+            key,
+            "tune",
+            dumps(configuration),
+            (log.reference or log.path, *settings.evaluate_options),
+        )
 
 
 def load_optuna() -> Any:  # noqa: ANN401

@@ -31,10 +31,10 @@ def set_one(peer, name, value):
 
 
 def test_parameters_that_were_given_are_listed_and_are_not_set(start, peer):
-    node = start("-p", "resolution:=0.1", "-p", "preset:=gmapping")
+    node = start("-p", "delta:=0.1", "-p", "preset:=gmapping")
     names = peer.ask("/gridslam/list_parameters", ListParameters).result.names
-    assert {"resolution", "preset", "use_sim_time"} <= set(names)
-    asked = ["resolution", "preset", "use_sim_time"]
+    assert {"delta", "preset", "use_sim_time"} <= set(names)
+    asked = ["delta", "preset", "use_sim_time"]
     got = peer.ask("/gridslam/get_parameters", GetParameters, names=asked).values
     assert (got[0].double_value, got[1].string_value, got[2].bool_value) == (0.1, "gmapping", False)
     successful, reason = set_one(peer, "preset", "default")

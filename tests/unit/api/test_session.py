@@ -62,13 +62,13 @@ def building():
 
 @pytest.fixture(scope="module")
 def first(building):
-    return drive(building, 1, 0, 500)
+    return drive(building, 1, 0, 400)
 
 
 @pytest.fixture(scope="module")
 def second(building):
     """Another day in the same building, from elsewhere on the way."""
-    return drive(building, 2, 200, 480)
+    return drive(building, 2, 200, 420)
 
 
 @pytest.fixture(scope="module")

@@ -1,20 +1,15 @@
 """What a node leaves: of each session, whatever ends it, and of those of the node before."""
 
-import json
-
 import pytest
 
 from gridslam.io.csv import CsvLog
+from gridslam.io.sessions.session_file import read_session
 from support.node_faults import RunningNode, make_drive, run_fault
 
 
 @pytest.fixture(scope="module")
 def drive():
     return make_drive()[:80]
-
-
-def scans_of(out):
-    return json.loads((out / "run.json").read_text())["scans"]["read"]
 
 
 def test_a_node_that_is_started_again_keeps_the_record_of_the_one_before(drive, tmp_path):
@@ -27,18 +22,18 @@ def test_a_node_that_is_started_again_keeps_the_record_of_the_one_before(drive, 
     assert counts == {"scans.csv": 30, "scans-2.csv": 20, "scans-3.csv": 10}
 
 
-def test_the_map_of_a_bag_that_is_played_twice_is_saved_before_the_second_one(drive, tmp_path):
-    (tmp_path / "out-1").mkdir()
-    (tmp_path / "out-1" / "mine.txt").write_text("mine")
+def test_each_time_that_a_bag_is_played_is_a_drive_of_the_session(drive, tmp_path):
     node = RunningNode(out=str(tmp_path / "out"), record=str(tmp_path / "scans.csv"))
     for scans in (80, 60, 40):
         node.play(drive[:scans])
     node.stop()
-    saved = [scans_of(tmp_path / out) for out in ("out-2", "out-3", "out")]
-    assert saved == [80, 59, 39]  # without the first one, whose transform is that of the bag's end
-    assert [path.name for path in (tmp_path / "out-1").iterdir()] == ["mine.txt"]
+    drives = read_session(tmp_path / "out" / "autosave.gridslam").drives
+    scans = sorted(log.scans for drive in drives for log in drive.logs)
+    assert scans == [39, 59, 80]  # without the first one, whose transform is that of the bag's end
+    assert [path.name for path in tmp_path.glob("out*")] == ["out"]
+    assert not list(tmp_path.glob("out/autosave-*"))
     counts = {path.name: len(list(CsvLog(path))) for path in tmp_path.glob("*.csv")}
-    assert counts == dict(zip(("scans.csv", "scans-2.csv", "scans-3.csv"), saved, strict=True))
+    assert counts == dict(zip(("scans-3.csv", "scans-2.csv", "scans.csv"), scans, strict=True))
 
 
 @pytest.mark.parametrize("name", ["proposal", "loop closure", "transport: map", "final refinement", "clock set back"])

@@ -124,7 +124,7 @@ def test_a_drive_that_is_resumed_is_found_at_the_same_key_scan(seen):
 
 def test_no_key_scan_does_more_than_a_share_of_the_work(seen, monkeypatch):
     work = []
-    for kind, name in ((MapSearch, "__call__"), (Alignment, "track_component"), (Alignment, "decide")):
+    for kind, name in ((MapSearch, "__call__"), (Alignment, "lay_component"), (Alignment, "decide")):
         method = getattr(kind, name)
 
         def count(*args, method=method, name=name):
@@ -141,7 +141,7 @@ def test_no_key_scan_does_more_than_a_share_of_the_work(seen, monkeypatch):
         work.clear()
         earlier.locate(LoopClosureState(scans=later.scans, graph=graph))
         shares.append(sorted(work))
-    allowed = ([], ["__call__"], ["track_component"], ["track_component"] * 2, ["decide"])
+    allowed = ([], ["__call__"], ["lay_component"], ["lay_component"] * 2, ["decide"])
     assert all(share in allowed for share in shares)
     assert ["decide"] in shares
 

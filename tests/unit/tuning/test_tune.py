@@ -10,6 +10,7 @@ import pytest
 
 from gridslam.config import PARAMETERS, Configuration, loads, preset
 from gridslam.errors import ArgumentError, ConfigurationError, InputError
+from gridslam.parameters import to_table
 from gridslam.tuning.comparison import Pair, compare
 from gridslam.tuning.report import describe_verdict, to_document, to_toml
 from gridslam.tuning.search_space import SearchSpace
@@ -35,7 +36,7 @@ class Runs:
         return [self.row(job) for job in jobs]
 
     def row(self, job):
-        table = job.arguments["configuration"]
+        table = to_table(loads(job.configuration))
         values = {
             "key_scan_m": table["when_to_update"]["translation_m"],
             "noise_m": table["motion"]["sigma_xy_m"],

@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import click
 
 from gridslam.cli.option_types import LOG, OUT, PATH, SECONDS, Number
 from gridslam.cli.options import (
+    calls,
     history_option,
     json_option,
     live_options,
@@ -49,7 +48,8 @@ from gridslam.cli.options import (
     help="Initial pose, m and rad.  [default: the true pose; with --landmarks the origin]",
 )
 @json_option
-def landmarks_command(**options: Any) -> None:  # noqa: ANN401
+@calls("landmarks:landmarks_to_folder")
+def landmarks_command() -> None:
     """Estimate the landmarks and the trajectory of LOG.
 
     LOG is an odometry file of UTIAS MRCLAM (Robot1_Odometry.dat in the folder of the dataset), or a Victoria Park file
@@ -58,9 +58,6 @@ def landmarks_command(**options: Any) -> None:  # noqa: ANN401
     Writes to OUT: landmarks.csv (except for ekf-localization) and trajectory.csv, both with covariances, landmarks.png,
     trajectory.tum, trajectory_online.tum (SLAM filters only: the online pose estimates) and run.json.
     """
-    from gridslam.cli.landmarks import landmarks_to_folder
-
-    landmarks_to_folder(**options)
 
 
 @click.command("grid")
@@ -99,7 +96,8 @@ def landmarks_command(**options: Any) -> None:  # noqa: ANN401
 @threads_option
 @log_options
 @json_option
-def grid_command(**options: Any) -> None:  # noqa: ANN401
+@calls("grid:grid_to_folder")
+def grid_command() -> None:
     """Map LOG with known poses.
 
     Scans are inserted at the poses of the trajectory, without scan matching. The pose of each scan is interpolated at
@@ -107,9 +105,6 @@ def grid_command(**options: Any) -> None:  # noqa: ANN401
 
     Writes map.yaml, map.pgm, map.png and run.json to OUT.
     """
-    from gridslam.cli.grid import grid_to_folder
-
-    grid_to_folder(**options)
 
 
 @click.command("localize")
@@ -119,7 +114,8 @@ def grid_command(**options: Any) -> None:  # noqa: ANN401
 @live_options
 @history_option
 @json_option
-def localize_command(**options: Any) -> None:  # noqa: ANN401
+@calls("localize:localize_to_folder")
+def localize_command() -> None:
     """Localize a robot in a known map.
 
     Monte Carlo localization. LOG is a CARMEN log, a ROS 1 or ROS 2 bag, or a CSV of scans, with odometry.
@@ -127,9 +123,6 @@ def localize_command(**options: Any) -> None:  # noqa: ANN401
     Writes to OUT: trajectory.tum (the online pose estimate of every scan), trajectory.csv (with covariances),
     belief.csv (lost flag and lost probability per scan), localization.png and run.json.
     """
-    from gridslam.cli.localize import localize_to_folder
-
-    localize_to_folder(**options)
 
 
 @click.command("graph")
@@ -147,7 +140,8 @@ def localize_command(**options: Any) -> None:  # noqa: ANN401
     help="Maximum number of iterations per initial guess.",
 )
 @json_option
-def graph_command(**options: Any) -> None:  # noqa: ANN401
+@calls("graph:graph_to_folder")
+def graph_command() -> None:
     """Solve FILE, a pose graph, by GraphSLAM.
 
     FILE is in g2o format, plain or compressed (.gz, .bz2).
@@ -155,6 +149,3 @@ def graph_command(**options: Any) -> None:  # noqa: ANN401
     Writes to OUT: graph.g2o (the optimized poses), graph.png and graph.json (with --robust the
     weights, too).
     """
-    from gridslam.cli.graph import graph_to_folder
-
-    graph_to_folder(**options)

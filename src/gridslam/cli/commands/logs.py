@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any
 
 import click
 
 from gridslam.cli.option_types import LOG, OUT, OUTPUT_FILE, OUTPUT_FOLDER, SEED, TIME_LIMIT, Number
-from gridslam.cli.options import json_option, log_options
+from gridslam.cli.options import calls, json_option, log_options
 
 
 @click.command("doctor")
@@ -16,14 +15,12 @@ from gridslam.cli.options import json_option, log_options
 @click.option("-o", "--out", type=OUT, help="Folder for the report; created if missing.")
 @log_options
 @json_option
-def doctor_command(**options: Any) -> Any:  # noqa: ANN401
+@calls("logs:doctor_log")
+def doctor_command() -> None:
     """Check LOG and report its content and its faults.
 
     LOG is a CARMEN log, a ROS 1 or ROS 2 bag, or a CSV of scans. Exit status: 3 if a fault makes the map unusable.
     """
-    from gridslam.cli.logs import doctor_log
-
-    return doctor_log(**options)
 
 
 @click.command("convert")
@@ -31,7 +28,8 @@ def doctor_command(**options: Any) -> Any:  # noqa: ANN401
 @click.argument("out", type=OUTPUT_FILE)
 @log_options
 @json_option
-def convert_command(**options: Any) -> None:  # noqa: ANN401
+@calls("logs:convert")
+def convert_command() -> None:
     """Write the log IN in another format.
 
     \b
@@ -42,9 +40,6 @@ def convert_command(**options: Any) -> None:  # noqa: ANN401
 
     CSV is compressed if the name ends in .gz or .bz2.
     """
-    from gridslam.cli.logs import convert
-
-    convert(**options)
 
 
 @click.group("dataset")
@@ -54,11 +49,9 @@ def dataset_command() -> None:
 
 @dataset_command.command("list")
 @json_option
-def dataset_list_command(**options: Any) -> None:  # noqa: ANN401
+@calls("logs:list_datasets")
+def dataset_list_command() -> None:
     """List the available logs with their credit and licence."""
-    from gridslam.cli.logs import list_datasets
-
-    list_datasets(**options)
 
 
 @dataset_command.command("get")
@@ -68,11 +61,9 @@ def dataset_list_command(**options: Any) -> None:  # noqa: ANN401
 )
 @click.option("--url", help="Base URL of the files.  [default: GRIDSLAM_DATASETS_URL or the public mirror]")
 @json_option
-def dataset_get_command(**options: Any) -> None:  # noqa: ANN401
+@calls("logs:get_dataset")
+def dataset_get_command() -> None:
     """Download the log NAME if it is missing, and verify its SHA-256."""
-    from gridslam.cli.logs import get_dataset
-
-    get_dataset(**options)
 
 
 @click.command("simulate")
@@ -111,7 +102,8 @@ def dataset_get_command(**options: Any) -> None:  # noqa: ANN401
 @click.option("--people", type=click.IntRange(min=0), default=0, show_default=True, help="Number of walking people.")
 @click.option("--duration", "duration_s", type=TIME_LIMIT, metavar="S", help="Duration of the log, s.")
 @json_option
-def simulate_command(**options: Any) -> None:  # noqa: ANN401
+@calls("simulate:simulate_to_log")
+def simulate_command() -> None:
     """Simulate a robot in WORLD and write the log.
 
     \b
@@ -121,6 +113,3 @@ def simulate_command(**options: Any) -> None:  # noqa: ANN401
 
     Also writes LOG.truth.tum, the true trajectory.
     """
-    from gridslam.cli.simulate import simulate_to_log
-
-    simulate_to_log(**options)

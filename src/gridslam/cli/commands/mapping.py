@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any
 
 import click
 
 from gridslam.cli.option_types import LOG, OUT, OUTPUT_FILE, OUTPUT_FOLDER, PATH, SEED
 from gridslam.cli.options import (
+    calls,
     history_option,
     json_option,
     live_options,
@@ -51,7 +51,8 @@ class _MapCommand(click.Command):
 @live_options
 @history_option
 @json_option
-def map_command(**options: Any) -> None:  # noqa: ANN401
+@calls("map:map_to_folder")
+def map_command() -> None:
     """Map LOG with grid-based FastSLAM and loop closure.
 
     LOG is a CARMEN log, a ROS 1 or ROS 2 bag, or a CSV of scans.
@@ -64,9 +65,6 @@ def map_command(**options: Any) -> None:  # noqa: ANN401
     the filter continues as if there had been one log; otherwise the robot is relocalized in the map first. Then
     trajectory_NAME.tum is the trajectory of each drive, and map_2.yaml, ... are pieces in which it was not found.
     """
-    from gridslam.cli.map import map_to_folder
-
-    map_to_folder(**options)
 
 
 @click.command("demo")
@@ -79,25 +77,21 @@ def map_command(**options: Any) -> None:  # noqa: ANN401
 @live_options
 @history_option
 @json_option
-def demo_command(**options: Any) -> None:  # noqa: ANN401
+@calls("simulate:demo")
+def demo_command() -> None:
     """Simulate a robot in a small office, and map it; needs no data.
 
     Writes to OUT the files of `gridslam map`, demo.clf.gz (the log) and truth.tum (the true trajectory).
     """
-    from gridslam.cli.simulate import demo
-
-    demo(**options)
 
 
 @click.command("session")
 @click.argument("file", type=PATH)
 @click.option("-o", "--out", type=OUT, help="Write each map to this folder: NAME.yaml, NAME.pgm.")
 @json_option
-def session_command(**options: Any) -> None:  # noqa: ANN401
+@calls("sessions:show_session")
+def session_command() -> None:
     """Show the content of a session FILE: maps by name, drives, logs, dates and sizes."""
-    from gridslam.cli.sessions import show_session
-
-    show_session(**options)
 
 
 @click.command("merge")
@@ -106,7 +100,8 @@ def session_command(**options: Any) -> None:  # noqa: ANN401
 @click.option("--save", type=OUTPUT_FILE, metavar="FILE", help="Save the merged session to this file.")
 @threads_option
 @json_option
-def merge_command(**options: Any) -> None:  # noqa: ANN401
+@calls("sessions:merge_to_folder")
+def merge_command() -> None:
     """Merge sessions of several robots or days into one map.
 
     Places that several of them show are recognized and decided on jointly; the order of the files changes nothing.
@@ -115,6 +110,3 @@ def merge_command(**options: Any) -> None:  # noqa: ANN401
     Writes to OUT: map.yaml, map.pgm and map.png (each drive in a colour), trajectory.tum and trajectory.csv of all
     drives by their stamps, trajectory_NAME.tum of each, graph.g2o, run.json; of further pieces map_2.yaml, ...
     """
-    from gridslam.cli.sessions import merge_to_folder
-
-    merge_to_folder(**options)

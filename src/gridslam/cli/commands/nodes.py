@@ -8,7 +8,7 @@ from typing import Any
 import click
 
 from gridslam.cli.option_types import OUTPUT_FILE, OUTPUT_FOLDER, PATH, SEED, THREADS, Number
-from gridslam.cli.options import SETTINGS, add_options, assignment_option, robot_live_options
+from gridslam.cli.options import SETTINGS, add_options, assignment_option, calls, robot_live_options
 
 _NODE_OPTIONS = (
     click.argument("arguments", nargs=-1, type=click.UNPROCESSED),
@@ -44,23 +44,19 @@ def node_options(command: Callable[..., Any]) -> Callable[..., Any]:
 
 @click.command("ros1", context_settings=_NODE_SETTINGS)
 @node_options
-def ros1_command(**options: Any) -> None:  # noqa: ANN401
+@calls("ros:ros1")
+def ros1_command() -> None:
     """Run the ROS 1 node, a drop-in replacement for slam_gmapping: subscribes to /scan and /tf, publishes /map.
 
     ARGUMENTS are ROS arguments: _name:=value sets a parameter, name:=other remaps a topic.
     """
-    from gridslam.cli.ros import ros1
-
-    ros1(**options)
 
 
 @click.command("ros2", context_settings=_NODE_SETTINGS)
 @node_options
-def ros2_command(**options: Any) -> None:  # noqa: ANN401
+@calls("ros:ros2")
+def ros2_command() -> None:
     """Run the ROS 2 node: subscribes to /scan and /tf, publishes /map.
 
     ARGUMENTS are ROS arguments after --ros-args.
     """
-    from gridslam.cli.ros import ros2
-
-    ros2(**options)

@@ -2,12 +2,10 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import click
 
 from gridslam.cli.option_types import PATH, Number
-from gridslam.cli.options import json_option, out_option
+from gridslam.cli.options import calls, json_option, out_option
 
 
 @click.command("plan")
@@ -22,7 +20,8 @@ from gridslam.cli.options import json_option, out_option
     help="Scale 1:N of the SVG.",
 )
 @json_option
-def plan_command(**options: Any) -> None:  # noqa: ANN401
+@calls("plan:plan_to_folder")
+def plan_command() -> None:
     """Make a floor plan of SOURCE: walls, doors, rooms and their measures (extra: map).
 
     SOURCE is a map's YAML file, the folder OUT of `gridslam map`, or a session. Where there are scans the walls are
@@ -30,9 +29,6 @@ def plan_command(**options: Any) -> None:  # noqa: ANN401
 
     Writes to OUT: plan.svg (to scale, its walls along the sheet), plan.geojson and plan.json.
     """
-    from gridslam.cli.plan import plan_to_folder
-
-    plan_to_folder(**options)
 
 
 @click.command("changes")
@@ -41,7 +37,8 @@ def plan_command(**options: Any) -> None:  # noqa: ANN401
 @out_option
 @click.option("--same-frame", is_flag=True, help="Both maps have one frame; do not align them by their walls.")
 @json_option
-def changes_command(**options: Any) -> None:  # noqa: ANN401
+@calls("plan:changes_to_folder")
+def changes_command() -> None:
     """Show the objects removed from a building and the new ones, by two maps.
 
     FIRST and SECOND are each a map's YAML file, the folder OUT of `gridslam map`, or a session. What either has not
@@ -49,9 +46,6 @@ def changes_command(**options: Any) -> None:  # noqa: ANN401
 
     Writes to OUT: changes.png and changes.json (with outlines in the frame of FIRST).
     """
-    from gridslam.cli.plan import changes_to_folder
-
-    changes_to_folder(**options)
 
 
 @click.command("mask")
@@ -59,18 +53,16 @@ def changes_command(**options: Any) -> None:  # noqa: ANN401
 @click.argument("edits", type=PATH)
 @out_option
 @json_option
-def mask_command(**options: Any) -> None:  # noqa: ANN401
+@calls("mask:mask_to_folder")
+def mask_command() -> None:
     """Apply EDITS to a map: the edited map, and masks of nav2's keep-out and speed filters.
 
     MAP is a map's YAML file, or the folder OUT of `gridslam map`. EDITS is a GeoJSON file of layers in metres of the
-    map's frame: walls, erased, rooms, keep_out, no_go and speed, as `gridslam view OUT --edit` writes it.
+    map's frame: walls, erased, rooms, keep_out, no_go and speed.
 
     Writes to OUT: map.yaml and map.pgm (edited), keepout_mask.yaml and speed_mask.yaml with their images,
-    nav2_filters.yaml (parameters to paste) and edits.geojson (as they lie on this map).
+    and edits.geojson (as they lie on this map).
     """
-    from gridslam.cli.mask import mask_to_folder
-
-    mask_to_folder(**options)
 
 
 @click.command("align")
@@ -85,7 +77,8 @@ def mask_command(**options: Any) -> None:  # noqa: ANN401
     help="Length of a pixel of PLAN, an image.",
 )
 @json_option
-def align_command(**options: Any) -> None:  # noqa: ANN401
+@calls("align:align_to_folder")
+def align_command() -> None:
     """Align MAP with an architect's plan or another map.
 
     MAP is a map's YAML file, the folder OUT of `gridslam map`, or a session; PLAN an image (dark walls) or
@@ -93,6 +86,3 @@ def align_command(**options: Any) -> None:  # noqa: ANN401
 
     Writes to OUT: align.json (with residuals), map.yaml (in the plan's frame, with a rotated origin) and align.png.
     """
-    from gridslam.cli.align import align_to_folder
-
-    align_to_folder(**options)

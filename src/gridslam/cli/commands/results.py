@@ -2,26 +2,21 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import click
 
 from gridslam.cli.option_types import PATH, Number
-from gridslam.cli.options import evaluate_options, host_options, json_option
+from gridslam.cli.options import calls, evaluate_options, host_options, json_option
 
 
 @click.command("view")
 @click.argument("out", type=PATH)
-@click.option("--edit", is_flag=True, help="Let the page edit the map: OUT/edits.geojson.")
 @host_options
-def view_command(**options: Any) -> None:  # noqa: ANN401
+@calls("live:view")
+def view_command() -> None:
     """Show the results in OUT in the browser.
 
     A run of map, localize or demo is replayed; of grid and merge the map is shown.
     """
-    from gridslam.cli.live import view
-
-    view(**options)
 
 
 @click.command("evaluate")
@@ -29,7 +24,8 @@ def view_command(**options: Any) -> None:  # noqa: ANN401
 @click.argument("reference", type=PATH)
 @evaluate_options
 @json_option
-def evaluate_command(**options: Any) -> None:  # noqa: ANN401
+@calls("evaluate:evaluate")
+def evaluate_command() -> None:
     """Compute the errors of TRAJECTORY with respect to REFERENCE.
 
     TRAJECTORY is in TUM format, stamp x y z qx qy qz qw, or EuRoC's.
@@ -39,9 +35,6 @@ def evaluate_command(**options: Any) -> None:  # noqa: ANN401
     reported; or, where there is no truth, the log itself: how well its scans,
     drawn along TRAJECTORY, agree with each other.
     """
-    from gridslam.cli.evaluate import evaluate
-
-    evaluate(**options)
 
 
 @click.command("regress")
@@ -72,7 +65,8 @@ def evaluate_command(**options: Any) -> None:  # noqa: ANN401
     help="By how much CPU time and memory may grow.",
 )
 @json_option
-def regress_command(**options: Any) -> Any:  # noqa: ANN401
+@calls("regress:regress")
+def regress_command() -> None:
     """Compare NEW with OLD, two output folders of gridslam batch, and report changes for the worse beyond noise.
 
     Runs are paired by log and seed (the folders of their results). Errors, CPU time, memory and failures of each log
@@ -81,6 +75,3 @@ def regress_command(**options: Any) -> Any:  # noqa: ANN401
 
     Exit status: 1 if something became worse.
     """
-    from gridslam.cli.regress import regress
-
-    return regress(**options)

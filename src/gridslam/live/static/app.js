@@ -3,7 +3,6 @@
 import { Camera } from "./camera.js";
 import { Chart, COLUMNS } from "./chart.js";
 import { Drawing } from "./drawing.js";
-import { Editor } from "./edit.js";
 import { Panel } from "./panel.js";
 import { Connection } from "./socket.js";
 import { Keys } from "./keys.js";
@@ -24,7 +23,6 @@ const charts = [
   new Chart($("#latency"), 2, { unit: " ms" }),
 ];
 const measure = drawing.measure = new Measure();
-const editor = drawing.editor = new Editor(camera, () => redraw());
 let colours = {}, redrawPending = false;
 
 function reset() {
@@ -66,7 +64,6 @@ function setRunInfo(runInfo) {
   world.map.place(runInfo.resolution_m ?? 0.05, runInfo.offset_m);
   document.body.dataset.session = runInfo.session;
   panel.setRunInfo(runInfo);
-  if (runInfo.layers.includes("edits")) editor.start();
   resize();
 }
 

@@ -10,8 +10,6 @@ export class Camera {
     this.angle = 0; // by which the map is turned counterclockwise, rad
     this.margin = { left: 0, right: 0, top: 0, bottom: 0 }; // px covered by other elements
     this.mode = "fit"; // or "follow", or "free"
-    this.takes = null; // gets the drags of one pointer instead: ("down", "move", "up" or "cancel", u, v)
-    this.taken = null; // the pointer that it gets
     this.moved = () => {};
     this.clicked = () => {};
     this.hovered = () => {};
@@ -96,14 +94,11 @@ export class Camera {
     let travelled = 0;
     canvas.addEventListener("pointerdown", (event) => {
       canvas.setPointerCapture(event.pointerId);
-      if (this.takes && !held.size) this.taken = event.pointerId;
-      if (this.taken === event.pointerId) return this.takes("down", event.clientX, event.clientY);
       if (!held.size) travelled = 0;
       held.set(event.pointerId, [event.clientX, event.clientY]);
       canvas.classList.add("grabbed");
     });
     canvas.addEventListener("pointermove", (event) => {
-      if (this.taken === event.pointerId) return this.takes?.("move", event.clientX, event.clientY);
       const at = [event.clientX, event.clientY], before = held.get(event.pointerId);
       if (!before) return this.hovered(...at);
       const [du, dv] = [at[0] - before[0], at[1] - before[1]];
@@ -113,10 +108,6 @@ export class Camera {
       if (held.size === 2) this.pinch([...held.entries()].find(([id]) => id !== event.pointerId)[1], before, at);
     });
     const release = (event) => {
-      if (this.taken === event.pointerId) {
-        this.taken = null;
-        return this.takes?.(event.type === "pointerup" ? "up" : "cancel", event.clientX, event.clientY);
-      }
       const at = held.get(event.pointerId);
       held.delete(event.pointerId);
       if (!held.size) canvas.classList.remove("grabbed");

@@ -41,10 +41,10 @@ export class Drawing {
     if (shown.scan) this.scan(context, colours.scan);
     this.robot(context, colours);
     if (shown.particles) this.particles(context, colours);
-    for (const tool of [this.measure, this.editor]) tool?.draw(context, camera, colours);
+    this.measure?.draw(context, camera, colours);
   }
 
-  // Paints the map, from a copy where it has not changed, as while edits are dragged.
+  // Paints the map, from a copy where it has not changed.
   map(context) {
     const { camera, world, opacity, canvas } = this;
     const { x, y, scale, angle, middle } = camera, ratio = devicePixelRatio;

@@ -15,7 +15,7 @@ from typing import Any, TypeAlias, final
 import numpy as np
 
 from gridslam.config import Configuration
-from gridslam.doctor import BreakCheck, EarlyCheck, Finding
+from gridslam.doctor import EarlyCheck, Finding
 from gridslam.doctor.view_breaks import DriveNumbering
 from gridslam.errors import ArgumentError, ConfigurationError, GridslamError, OutputError
 from gridslam.io.measurement import Measurement
@@ -60,8 +60,6 @@ class NodeCore:
     record : str or Path, optional
         CSV of the accepted scans, which `gridslam map` maps with identical results; later sessions, and those of a node
         that is started again, get `-2`, `-3`, ... before its suffix.
-    on_jump : callable, optional
-        Called in the filter's thread with a copy of each session that ends as time jumps back.
     observers : sequence of Observer
         Called after each scan in the filter's thread.
     files : SessionFiles, optional
@@ -93,7 +91,6 @@ class NodeCore:
         outputs: Outputs,
         *,
         record: str | Path | None = None,
-        on_jump: Callable[[SessionCopy], None] | None = None,
         observers: Sequence[Observer] = (),
         files: SessionFiles | None = None,
     ) -> None:
@@ -111,7 +108,6 @@ class NodeCore:
         self._diagnostics_callbacks: list[DiagnosticsCallback] = []
         self._record = None if record is None else Path(record)
         self._recorder: ScanRecorder | None = None
-        self._on_jump = on_jump
         self.messages = self._warn = Messages(outputs.log)
         self._queue = MeasurementQueue(settings, self._warn)
         self._known_map: GridMessage | None = None
@@ -120,7 +116,7 @@ class NodeCore:
             self._renderer = MapRenderer(configuration.mapper, settings, outputs.map)
         self._publisher = StatePublisher(settings, outputs, self._renderer, self._queue, self._warn)
         self._continued = None if files is None else files.continued
-        self._goes_on = None if files is None else files.save or (files.continued and files.continued.path)
+        self._goes_on = None if files is None else files.path
         self._session_end = SessionEnd.CLOSED
         self._drive = 0
         self._certain: deque[tuple[int, AcceptedScan]] = deque()  # scans, and the number of their drive
@@ -312,7 +308,6 @@ class NodeCore:
         if is_begun:
             if is_carried or (end is SessionEnd.JUMP and self._goes_on is not None):
                 self._go_on_elsewhere()
-            self._hand_over_session()
             if self._renderer is not None:
                 self._renderer.reset()
         self._begin_session()
@@ -355,19 +350,8 @@ class NodeCore:
             is_in_file = mapped.continued is not None and mapped.continued.is_in_file
             path = self._goes_on or self.results_folder / "session.gridslam"  # where it is saved if somebody asks
             self._continued = Continued(path, saved, is_elsewhere=True, is_in_file=is_in_file)
-
-    def _hand_over_session(self) -> None:
-        """Give a copy of a session that ends without a reset to whoever saves it, unless the next one holds it."""
-        end = self._session_end
-        goes_on = end is SessionEnd.CARRIED and self._continued is not None
-        on_jump = None if goes_on or end not in _FOUND or self.mapped_session is None else self._on_jump
-        if on_jump is None and not goes_on:
-            return
-        with self._reporting("session not saved"):
-            if on_jump is not None:
-                on_jump(self._copy_mapped())
             if self._autosave is not None:
-                self._autosave.note_kept()
+                self._autosave.note_continued()
 
     def _report_failure(self, failed: FailedStep) -> None:
         self._warn("scan failed", str(failed))
@@ -401,12 +385,9 @@ class NodeCore:
 
     def _number(self, accepted: AcceptedScan) -> list[tuple[int, AcceptedScan]]:
         """Return the scans whose drive is certain from this one on; without loop closure no robot is relocalized."""
-        measurement = accepted.measurement
         with self._reporting("checks failed"):
             if isinstance(self.configuration, Configuration) and self.configuration.loop_closure is not None:
-                return self._numbering.take(accepted, measurement)
-            for finding in self._breaks.take(measurement):
-                self._warn_of(finding)
+                return self._numbering.take(accepted, accepted.measurement)
         return [*self._numbering.end(), (self._drive, accepted)]
 
     def _begin_step(self, accepted: AcceptedScan) -> Measurement:
@@ -467,7 +448,6 @@ class NodeCore:
         self._publisher.start_session()
         self._check = EarlyCheck()
         if self._session_end is not SessionEnd.CARRIED:
-            self._breaks = BreakCheck()
             self._numbering = DriveNumbering[AcceptedScan](self._warn_of)
             self._drive = 0
         self._session: Session | LocalizationSession

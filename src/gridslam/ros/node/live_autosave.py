@@ -41,6 +41,11 @@ class SessionFiles:
     autosave: Path | None = None
     autosave_period_s: float = 300.0
 
+    @property
+    def path(self) -> Path | None:
+        """File of the session that a drive after a jump of time belongs to; None if none is saved."""
+        return self.save or (self.continued and self.continued.path) or self.autosave
+
 
 @final
 class LiveAutosave:
@@ -94,9 +99,9 @@ class LiveAutosave:
         """Wait for what is being written."""
         self._writer.close()
 
-    def note_kept(self) -> None:
-        """Note that the session so far is saved elsewhere: the next one's file may replace it."""
-        self._is_kept = True
+    def note_continued(self) -> None:
+        """Note that the next session holds the one so far: its file may replace that one's."""
+        self._is_kept = self._session is not None
 
 
 def keep_other(path: Path, continued: Continued | None, log: Callable[[Level, str], None]) -> None:

@@ -1,4 +1,4 @@
-"""Parameters of the node: those of slam_gmapping with their names and defaults, of AMCL and slam_toolbox, and its own.
+"""Parameters of the node: those of slam_gmapping with their names and defaults, those of AMCL, and its own.
 
 Source: the public documentation of the ROS package gmapping, http://wiki.ros.org/gmapping, section Parameters.
 """
@@ -21,7 +21,6 @@ from gridslam.config.tables import describe_error, names, nest, replace_paramete
 from gridslam.errors import ArgumentError, ConfigurationError
 from gridslam.io.ros_parameters import flatten_parameters
 from gridslam.ros.node.continued import Continued
-from gridslam.ros.node.foreign_parameters import FOREIGN_NAMES, translate_parameters
 from gridslam.ros.node.live_autosave import AUTOSAVE, SessionFiles
 from gridslam.ros.node.session import Localization
 
@@ -239,7 +238,7 @@ def node_parameters(given: Mapping[str, Any], preset_name: str = "gmapping") -> 
     Parameters
     ----------
     given : mapping
-        Parameters set by the user: of `GMAPPING_DEFAULTS`, `NODE_DEFAULTS`, AMCL or slam_toolbox; others are ignored.
+        Parameters set by the user: of `GMAPPING_DEFAULTS`, `NODE_DEFAULTS` or AMCL; others are ignored.
         Tables are flattened: `initial_pose: {x: 1}` is `initial_pose.x`.
     preset_name : str
         The preset if `given` has none.
@@ -251,18 +250,7 @@ def node_parameters(given: Mapping[str, Any], preset_name: str = "gmapping") -> 
     InputError
         The file of the map or of the configuration cannot be read.
     """
-    given, spelled, foreign = translate_parameters(flatten_parameters(given))
-    try:
-        return _node_parameters(given, foreign, preset_name)
-    except ConfigurationError as error:
-        name, mark, problem = str(error).partition(": ")
-        if name not in spelled:
-            raise
-        raise ConfigurationError(f"{spelled[name]}{mark}{problem}") from None
-
-
-def _node_parameters(given: Mapping[str, Any], foreign: Mapping[str, str], preset_name: str) -> NodeParameters:
-    """Convert parameters; `foreign` are those of other nodes that are ignored, with the reasons."""
+    given = flatten_parameters(given)
     values = {**NODE_DEFAULTS, **{name: value for name, value in given.items() if name in NODE_DEFAULTS}}
     given = {name: _as_roscpp(name, value) for name, value in given.items()}
     configuration: Configuration | Localization
@@ -283,7 +271,7 @@ def _node_parameters(given: Mapping[str, Any], foreign: Mapping[str, str], prese
         raise ConfigurationError(f"tf_broadcast: expected true or false, got {values['tf_broadcast']!r}")
     if not values["tf_broadcast"]:
         given["transform_publish_period"] = 0.0
-    warning = _group_by_reason({**reasons, **foreign})
+    warning = _group_by_reason(reasons)
     return NodeParameters(_read_settings(given), configuration, warning, record, out, files)
 
 
@@ -319,7 +307,7 @@ def _read_mapping(given: Mapping[str, Any], preset_name: str) -> tuple[Configura
             if not there.intersection(_PATHS[name]):
                 reasons[name] = f"the preset {preset_name} has no such part"
         elif name not in _NODE and name not in NODE_DEFAULTS:
-            known = [*GMAPPING_DEFAULTS, *NODE_DEFAULTS, *FOREIGN_NAMES]
+            known = [*GMAPPING_DEFAULTS, *NODE_DEFAULTS]
             reasons[name] = f"there is no such parameter{suggest_names(name, known)}"
     return override(config, *_assignments(given)), reasons
 

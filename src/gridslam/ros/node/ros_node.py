@@ -4,11 +4,8 @@ from __future__ import annotations
 
 import math
 import os
-import threading
 from collections.abc import Callable
 from functools import partial
-from itertools import count
-from pathlib import Path
 from typing import Any, final
 
 import numpy as np
@@ -55,14 +52,11 @@ class RosNode:
         self._transport = transport
         self._out = parameters.out
         self._files = parameters.files
-        self._saving: list[threading.Thread] = []
-        self._saved: set[Path] = set()
         self.core = NodeCore(
             parameters.settings,
             parameters.configuration,
             transport.outputs,
             record=parameters.record,
-            on_jump=None if self._out is None else self._save_earlier,
             files=parameters.files,
         )
         self._log = self.core.messages.report
@@ -106,8 +100,6 @@ class RosNode:
             if session is not None:
                 self._write(session)
         finally:
-            for thread in self._saving:
-                thread.join()
             self._transport.close()
 
     def _write(self, session: SessionCopy) -> None:
@@ -130,26 +122,6 @@ class RosNode:
         self._log(Level.OK, f"session saved: {save.resolve()}")
         if autosave is not None and autosave != save and autosave.exists() and not os.path.samefile(autosave, save):
             autosave.unlink()
-
-    def _save_earlier(self, session: SessionCopy) -> None:
-        """Save a session to OUT-1, or the next number that is free, while the next session is mapped."""
-        assert self._out is not None
-        out = self._out.resolve()
-        numbered = (out.with_name(f"{out.name}-{number}") for number in count(1))
-        folder = next(path for path in numbered if path not in self._saved and not os.path.lexists(path))
-        self._saved.add(folder)
-
-        def save() -> None:
-            try:
-                self._log(Level.OK, f"writing {session.log.scan_count} scans of the session before to {folder}")
-                session.save(folder)
-                session.save_session(folder / "session.gridslam")
-            except Exception as error:
-                self._log(Level.ERROR, f"the session before is not saved: {describe_error(error)}")
-
-        thread = threading.Thread(target=save, name="gridslam-save")
-        self._saving.append(thread)
-        thread.start()
 
     def run(self, options: RunOptions) -> None:
         """Run until the transport or a KeyboardInterrupt ends it; raises GridslamError if the filter failed."""

@@ -15,14 +15,14 @@ from gridslam.arguments import Size, index_of
 from gridslam.checked import checked
 from gridslam.errors import ArgumentError, ConsumedStateError
 from gridslam.geometry.angles import wrap
-from gridslam.geometry.single_pose import Pose, as_pose
+from gridslam.geometry.single_pose import Pose
 from gridslam.grid.tiles import TileMaps
 from gridslam.mapping.occupancy_grid_mapping import OccupancyGridMapping
 from gridslam.particles.ancestry import Ancestry
 from gridslam.particles.resampling import normalize, relative_to_greatest, require_log_weights
 from gridslam.serialization import NOT_SAVED
 from gridslam.slam.grid_fastslam.smoothed_pose import SmoothedPose
-from gridslam.slam.loop_closure.drift_model import compute_step_moments
+from gridslam.slam.loop_closure.drift_model import compute_moments
 from gridslam.slam.loop_closure.state import LoopClosureState
 from gridslam.tracking.state import UnmatchedMotion
 from gridslam.tracking.tracker import TrackerState
@@ -197,7 +197,8 @@ class GridFastSlamState:
         self.lost = estimate.lost
         self._covariance = estimate.covariance
         self.drift_covariance = estimate.drift_covariance
-        self.drift = self.drift + compute_step_moments(as_pose(estimate.reported.pose), estimate.drift_covariance)
+        (moments,) = compute_moments(estimate.reported.pose[None], estimate.drift_covariance[None])
+        self.drift = self.drift + moments
 
     def resample(self, parents: IntArray) -> None:
         """Let particle i continue particle parents[i], all with equal weights.
