@@ -41,7 +41,6 @@ from gridslam.observers import RunStatistics
 from gridslam.parameters import to_table
 from gridslam.pipeline import Observer, Stopwatch, describe_error, run
 from gridslam.slam.full_slam.full_slam import LoopClosureSummary, full_slam
-from gridslam.slam.full_slam.full_trajectory import find_open_directions
 from gridslam.slam.grid_fastslam.state import GridFastSlamState
 from gridslam.slam.loop_closure.constraints import ConstraintSource
 from gridslam.slam.loop_closure.state import LoopClosureState, RejectionReason
@@ -270,7 +269,6 @@ class MapResult(Result):
             caption=self.caption(),
             truth=self.truth,
             closures=None if self.loop_summary is None else self.closure_ends(self.loop_summary.shown),
-            open_directions=find_open_directions(self.graph),
         )
 
     def _write_files(self, out: OutputFolder) -> None:

@@ -20,7 +20,6 @@ from gridslam.io.trajectories import write_tum
 from gridslam.parameters import to_table
 from gridslam.pipeline import Stopwatch
 from gridslam.slam.full_slam.full_slam import FullSlam
-from gridslam.slam.full_slam.full_trajectory import find_open_directions
 from gridslam.types import FloatArray, Trajectory
 from gridslam.viz import draw_map
 from gridslam.viz.notebook import Picture
@@ -95,7 +94,6 @@ class MergeResult(Result):
             self.trajectories,
             title=" + ".join(path.name for path in self.sources),
             caption=self.caption(),
-            open_directions=find_open_directions(self.full.graph),
         )
 
     def _write_files(self, out: OutputFolder) -> None:

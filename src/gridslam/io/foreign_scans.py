@@ -31,7 +31,6 @@ _KEY = re.compile(r"([A-Za-z]\w*):\s*")
 _SYNC = re.compile(r"^S\s+(?=[A-Za-z]\w*:)")  # of a beam that begins a turn
 _ANGLE = re.compile(r"(?:angle|theta|bearing|azimuth)(?:[ _(\[]*(deg|rad)\w*[)\]]?)?")
 _DISTANCE = re.compile(r"(?:dist|distance|range|radius|r)(?:[ _(\[]*(mm|cm|m|in|ft)[)\]]?)?")
-_SCAN = re.compile(r"(?:scan|sweep|turn|rev|revolution)(?:_?(?:id|no|nr|num|number|index|count))?()")
 _TIME = re.compile(r"(?:t|time|stamp|timestamp)(?:[ _(\[]*(ns|us|ms|s)[)\]]?)?")
 _OF_A_METRE = {"m": 1.0, "cm": 100.0, "mm": 1000.0, "in": 1 / 0.0254, "ft": 1 / 0.3048}
 _OF_A_SECOND = {"s": 0, "ms": 3, "us": 6, "ns": 9}  # powers of ten
@@ -204,8 +203,7 @@ def _geometry(start: float, step: float, beams: int) -> ScanGeometry:
 class _PointRows:
     """A beam in each row: an angle, a distance, and mostly a time.
 
-    A scan ends where the number of the scan changes, or without such a column where the angle starts over. A number
-    that lasts a single beam is none of a scan, but counts beams or marks the first one; one that never changes neither.
+    A scan ends where the angle starts over.
 
     Units are those that the names state. Without, angles are degrees where one is beyond 7, and distances millimetres
     where their median in the first scan is beyond 100. Angles count counter-clockwise unless `clockwise`.
@@ -216,10 +214,6 @@ class _PointRows:
         self._angle = _match(_ANGLE, names) or (0, "")
         self._distance = _match(_DISTANCE, names) or (0, "")
         self._time = _match(_TIME, names)
-        self._scan = _match(_SCAN, names)
-        self._scan_number = ""
-        self._has_changed = False  # the number of the scan
-        self._turning = 0.0  # the sense in which the angle grows, once it has started over in a scan of such a number
         self._statistics = statistics
         self._direction = -1.0 if clockwise else 1.0
         self._is_header = True
@@ -244,7 +238,7 @@ class _PointRows:
         distance = _number(words, self._distance[0], self._names[self._distance[0]])
         if not math.isfinite(angle):
             raise ValueError(f"column {self._names[self._angle[0]]}: expected a finite angle, got {angle}")
-        finished = self._finish() if self._ends_before(words, angle) else None
+        finished = self._finish() if self._starts_over(angle) else None
         if not self._beams:
             self._stamp_ns = self._stamp(words)
         if len(self._beams) >= _MOST_BEAMS:
@@ -254,26 +248,6 @@ class _PointRows:
 
     def end(self) -> Measurement | None:
         return self._finish() if self._beams else None
-
-    def _ends_before(self, words: Sequence[str], angle: float) -> bool:
-        """Return whether a beam is of another scan than the one before."""
-        if self._scan is None:
-            return self._starts_over(angle)
-        before, self._scan_number = self._scan_number, words[self._scan[0]]
-        if not self._beams:
-            return False
-        if before == self._scan_number:
-            return not self._has_changed and self._comes_round(angle)
-        self._has_changed = True
-        if len(self._beams) == 1:
-            self._scan = None
-        return self._scan is not None
-
-    def _comes_round(self, angle: float) -> bool:
-        """Return whether a beam is past the first one of its scan, after the angle has started over."""
-        if not self._turning and self._starts_over(angle):
-            self._turning = math.copysign(1.0, self._beams[-1][0] - self._beams[0][0])
-        return self._turning * (angle - self._beams[0][0]) >= 0 and self._turning != 0
 
     def _starts_over(self, angle: float) -> bool:
         """Return whether a beam goes back against the direction of its scan."""
@@ -298,14 +272,10 @@ class _PointRows:
         """Make a scan of the beams so far."""
         angles, distances = np.array(self._beams).T
         self._beams = []
-        self._turning = 0.0
         self._scans += 1
         if self._units is None:
             self._units = self._find_units(angles, distances)
         bearings = angles / self._units[0]
-        steps = np.diff(bearings)
-        if self._scan is not None and (steps < 0).any() and (steps > 0).any():
-            bearings = np.unwrap(bearings)  # a numbered scan may begin anywhere
         if problem := find_wrong_beam_angles(bearings[0], np.ptp(bearings) / max(len(bearings) - 1, 1), len(bearings)):
             raise ValueError(problem)
         if not np.array_equal(bearings, self._geometry.bearings):

@@ -1,16 +1,14 @@
-"""Sources of a plan: a map_server map, the folder of a run, or a session."""
+"""Sources of a plan: a map_server map, or the folder of a run."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any, NamedTuple, final
 
 import numpy as np
 
-from gridslam.api.session import Session
 from gridslam.doctor.repair import open_repaired
-from gridslam.errors import InputError
 from gridslam.geometry import se2
 from gridslam.io.edits import read_edits
 from gridslam.io.maps import read_map
@@ -50,7 +48,7 @@ def read_source(path: str | Path, on_remark: Callable[[str], None] = lambda rema
     Parameters
     ----------
     path : str or Path
-        A map's YAML file, the folder OUT of `gridslam map` or `grid`, or a session NAME.gridslam.
+        A map's YAML file, the folder OUT of `gridslam map` or `grid`.
     on_remark : callable
         Gets what is odd, a sentence each; so, that walls are taken from cells, as a folder's log is not there.
 
@@ -60,29 +58,12 @@ def read_source(path: str | Path, on_remark: Callable[[str], None] = lambda rema
         Nothing of these is there, or it cannot be read.
     """
     path = Path(path)
-    if path.suffix == ".gridslam":
-        return _read_session(path)
     if path.is_dir():
         source, edits = _read_folder(path, on_remark), path / "edits.geojson"
     else:
         source, edits = MapSource(read_map(path, on_remark=on_remark), path.stem), path.with_name("edits.geojson")
     rooms = read_edits(edits).of("rooms") if edits.is_file() else []
     return source._replace(names=tuple((room.name, room.points.mean(axis=0)) for room in rooms))
-
-
-def _read_session(path: Path) -> MapSource:
-    """The newest map of a session, and the end points of its key scans."""
-    session = Session.open(path)
-    if not session.maps:
-        raise InputError(path, "expected a session with a map, got one without a scan")
-    piece = session.pieces[0].piece
-
-    def scans() -> Iterator[tuple[FloatArray, FloatArray]]:
-        for key, pose in enumerate(piece.poses):
-            scan = piece.scans.key(key)
-            yield se2.transform_points(pose, scan.origin[None])[0], se2.transform_points(pose, scan.ends)
-
-    return _add_scans(MapSource(session.map, path.stem), scans())
 
 
 def _read_folder(out: Path, on_remark: Callable[[str], None]) -> MapSource:
@@ -96,28 +77,18 @@ def _read_folder(out: Path, on_remark: Callable[[str], None]) -> MapSource:
         on_remark(f"{out}: the log of this run is not there: walls are taken from the cells of its map")
         return MapSource(grid, name)
     poses = KnownPoses(read_tum(out / "trajectory.tum"))
+    path: list[FloatArray] = []
 
     def scans() -> Iterator[tuple[FloatArray, FloatArray]]:
         for _, scan in open_repaired(log, None, "needed"):
             pose = poses.at(scan.stamp_ns)
             if isinstance(pose, np.ndarray):
                 beams = poses.deskew(scan.beams(_NEAREST_M, _FARTHEST_M))
-                yield se2.transform_points(pose, beams.origin[None])[0], se2.transform_points(pose, beams.ends)
+                path.append(se2.transform_points(pose, beams.origin[None])[0])
+                yield path[-1], se2.transform_points(pose, beams.ends)
 
-    return _add_scans(MapSource(grid, name), scans())
-
-
-def _add_scans(source: MapSource, scans: Iterable[tuple[FloatArray, FloatArray]]) -> MapSource:
-    """Add surface points and the path, unless no scan has an end point."""
-    path: list[FloatArray] = []
-
-    def seen() -> Iterator[tuple[FloatArray, FloatArray]]:
-        for origin, ends in scans:
-            path.append(origin)
-            yield origin, ends
-
-    points = points_of_scans(seen(), source.grid.resolution_m)
-    return source._replace(points=points, path=np.array(path)) if len(points) else source
+    points = points_of_scans(scans(), grid.resolution_m)
+    return MapSource(grid, name, points, np.array(path)) if len(points) else MapSource(grid, name)
 
 
 def _find_log(out: Path, source: dict[str, Any]) -> Path | None:

@@ -26,7 +26,6 @@ TRUTH: Colour = (0, 150, 136)
 CLOSURE: Colour = (30, 136, 210)
 REJECTED: Colour = (160, 167, 176)
 LOST: Colour = (214, 40, 40)
-OPEN: Colour = (150, 205, 120)
 
 # From early to late: lightness (CIE L*) rises evenly from 22 to 73 while the hue turns from violet to orange, so the
 # order can be read in grey as well, and the lightest colour still stands out from white.

@@ -17,7 +17,6 @@ from gridslam.viz.canvas import (
     FREE,
     LOST,
     OCCUPIED,
-    OPEN,
     TIME_ENDS,
     TRUTH,
     UNKNOWN,
@@ -75,7 +74,6 @@ def draw_map(
     truth: Trajectory | None = None,
     walls: FloatArray | None = None,
     closures: FloatArray | None = None,
-    open_directions: FloatArray | None = None,
 ) -> Image.Image:
     """Draw the known part of a map with the trajectory over it, a scale bar and a caption under it.
 
@@ -95,8 +93,6 @@ def draw_map(
         A floor plan in the frame of the grid, drawn in the colour of the truth.
     closures : (K, 4) float64, m, optional
         Loop closures as [x0, y0, x1, y1], the two places that each of them joins, in the frame of the grid.
-    open_directions : (L, 4) float64, m, optional
-        Lines [x0, y0, x1, y1] along directions that scans left open, in the frame of the grid; a band under the path.
 
     Returns
     -------
@@ -113,9 +109,6 @@ def draw_map(
         stroke(page, layout.pixels(walls.reshape(-1, 2)).reshape(-1, 4), TRUTH, 1.2 * layout.unit)
     if truth is not None:
         paint_path(page, layout, truth, 2.0, TRUTH)
-    if open_directions is not None and len(open_directions):  # a band under the path
-        stroke(page, layout.pixels(open_directions.reshape(-1, 2)).reshape(-1, 4), OPEN, 10.0 * layout.unit)
-        keys.append(("open directions", OPEN))
     if isinstance(trajectory, Mapping):
         keys += _paint_drives(page, layout, trajectory)
     elif trajectory is not None and len(trajectory):

@@ -43,25 +43,29 @@ def test_several_robots_must_be_told_apart(tmp_path):
 MOUNTED = [transform(0.0, "base_link", "laser")]
 
 
-@pytest.mark.parametrize("links", [MOUNTED, []])
+SWINGING = [transform(0.0, "base_link", "laser"), transform(0.1, "base_link", "laser", (0.0, 0.0, 0.1), topic="/tf")]
+
+
 @pytest.mark.parametrize(
-    ("counts", "taken"),
+    ("links", "why"),
     [
-        ({"/scan": 1, "/scan_filtered": 3}, "/scan"),
-        ({"/r/scan": 1, "/r/a_scan": 3}, "/r/scan"),
-        ({"/a_scan": 1, "/b_scan": 3, "/c_scan": 2}, "/b_scan"),
-        ({"/a_scan": 2, "/b_scan": 2}, "/a_scan"),
+        (MOUNTED, "one laser (in one frame)"),
+        ([], "mounting of /a_scan (laser) is unknown"),
+        (SWINGING, "/a_scan moves"),
     ],
 )
-def test_of_several_topics_of_one_laser_one_is_taken_and_the_others_are_named(tmp_path, counts, taken, links):
-    said = [*links, *(scan(name, 0.1 * k, FOUR) for name, count in counts.items() for k in range(count))]
-    chosen = choice_of(tmp_path, said)
-    others = ", ".join(name for name in counts if name != taken)
-    assert chosen.scans == (taken,)
-    assert chosen.remarks == (f"{others} left out: scans of the same laser (laser) as {taken} (--scan TOPIC takes it)",)
+def test_of_topics_that_do_not_go_together_only_scan_is_taken_unasked(tmp_path, links, why):
+    said = [*links, *(scan(name, 0.1 * k, FOUR) for name in ("/a_scan", "/b_scan") for k in range(3))]
+    refusal = refused(tmp_path, said)
+    assert why in refusal
+    assert "choose with --scan TOPIC among /a_scan, /b_scan" in refusal
     (tmp_path / "log.bag").unlink()
-    other = min(set(counts) - {taken})
-    assert choice_of(tmp_path, said, scan_topics=(other,)).scans == (other,)
+    assert choice_of(tmp_path, said, scan_topics=("/b_scan",)).scans == ("/b_scan",)
+    (tmp_path / "log.bag").unlink()
+    chosen = choice_of(tmp_path, [*said, scan("/scan", 0.1, FOUR)])
+    assert chosen.scans == ("/scan",)
+    (remark,) = chosen.remarks
+    assert remark.startswith("/a_scan, /b_scan left out, /scan taken: ")
 
 
 def test_without_scans_the_topics_are_listed(tmp_path):

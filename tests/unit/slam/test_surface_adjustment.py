@@ -14,7 +14,6 @@ from gridslam.slam.full_slam import full_trajectory
 from gridslam.slam.full_slam.full_trajectory import (
     TrackedScans,
     drift_covariances,
-    find_open_directions,
     path_fractions,
     scan_covariances,
 )
@@ -228,16 +227,3 @@ def test_a_match_between_key_scans_and_the_motion_add_their_information():
     information = np.concatenate([np.zeros((1, 3, 3)), in_scan, np.zeros((1, 3, 3))])
     found = scan_covariances(graph, of_keys, poses, drives, DriftModel(), information)[1]
     np.testing.assert_allclose(found, by_motion / 2, atol=1e-12)
-
-
-def test_open_directions_are_those_along_which_increments_are_uncertain():
-    """Whatever the heading: the axis is given in the frame in which an increment ends."""
-    poses = np.array([[0.0, 0, 0], [1, 0, 0.3], [2, 1, 2.0]])
-    sigmas = np.array([[0.015, 0.01], [0.3, 0.01]])  # along x and y of the frame in which each ends
-    information = np.stack([np.diag([*(1 / np.square(s)), 1e4]) for s in sigmas])
-    edges = np.array([[0, 1], [1, 2]])
-    graph = PoseGraph.of(poses, edges, between(poses[:-1], poses[1:]), information)
-    (line,) = find_open_directions(graph)
-    assert line.reshape(2, 2).mean(axis=0) == pytest.approx(poses[2, :2])
-    dx, dy = line[2:] - line[:2]
-    assert abs(dx * np.sin(2.0) - dy * np.cos(2.0)) < 1e-9

@@ -24,7 +24,7 @@ from gridslam.cli.options import calls, json_option, out_option
 def plan_command() -> None:
     """Make a floor plan of SOURCE: walls, doors, rooms and their measures (extra: map).
 
-    SOURCE is a map's YAML file, the folder OUT of `gridslam map`, or a session. Where there are scans the walls are
+    SOURCE is a map's YAML file, or the folder OUT of `gridslam map`. Where there are scans the walls are
     fitted to their end points, and otherwise to the map's cells. Rooms have the names in edits.geojson beside the map.
 
     Writes to OUT: plan.svg (to scale, its walls along the sheet), plan.geojson and plan.json.
@@ -41,7 +41,7 @@ def plan_command() -> None:
 def changes_command() -> None:
     """Show the objects removed from a building and the new ones, by two maps.
 
-    FIRST and SECOND are each a map's YAML file, the folder OUT of `gridslam map`, or a session. What either has not
+    FIRST and SECOND are each a map's YAML file, or the folder OUT of `gridslam map`. What either has not
     seen is left open.
 
     Writes to OUT: changes.png and changes.json (with outlines in the frame of FIRST).
@@ -81,7 +81,7 @@ def mask_command() -> None:
 def align_command() -> None:
     """Align MAP with an architect's plan or another map.
 
-    MAP is a map's YAML file, the folder OUT of `gridslam map`, or a session; PLAN an image (dark walls) or
+    MAP is a map's YAML file, or the folder OUT of `gridslam map`; PLAN an image (dark walls) or
     another map. Walls are matched without a first guess; --unit may be off by a few percent.
 
     Writes to OUT: align.json (with residuals), map.yaml (in the plan's frame, with a rotated origin) and align.png.

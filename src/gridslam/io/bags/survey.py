@@ -339,9 +339,7 @@ def _scans(source: BagSource, seen: Survey, options: LogOptions, remarks: list[s
         return wanted
     names = sorted(seen.scans)
     if len(names) > 1:
-        names = _one_of_each_laser(source, seen, _still(seen, names, remarks), remarks)
-    if len(names) > 1:
-        problem = _why_not_one_robot(seen, names)
+        problem = _why_not_together(seen, names)
         if problem and _USUAL not in names:
             raise InputError(source.path, f"{problem}: choose with --scan TOPIC among {', '.join(names)}")
         if problem:
@@ -351,54 +349,19 @@ def _scans(source: BagSource, seen: Survey, options: LogOptions, remarks: list[s
     return tuple(names)
 
 
-def _still(seen: Survey, names: list[str], remarks: list[str]) -> list[str]:
-    """Leave out lasers that tilt or turn on the robot, if there are others."""
-    still = []
-    for name in names:
-        base = _base_above(seen, seen.scans[name].frame)
-        way = seen.way(base, seen.scans[name].frame) if base else None
-        if not any(seen.links[step.link].moves for step in way or ()):
-            still.append(name)
-    if still and len(still) < len(names):
-        moving = ", ".join(name for name in names if name not in still)
-        remarks.append(f"{moving} left out: this laser moves on the robot (--scan TOPIC takes it)")
-        return still
-    return names
-
-
-def _one_of_each_laser(source: BagSource, seen: Survey, names: list[str], remarks: list[str]) -> list[str]:
-    """Leave out further topics of a laser, such as filtered scans: those in its frame.
-
-    The one named scan is taken, or else the one with most scans. Topics without a frame, or in several namespaces and
-    in a frame that is mounted nowhere, may be of different lasers.
-    """
-    of_laser = dict[tuple[str, str], list[str]]()
-    for name in names:
-        frame = seen.scans[name].frame
-        laser = (frame, "" if _base_above(seen, frame) else _namespace(name)) if frame else ("", name)
-        of_laser.setdefault(laser, []).append(name)
-    chosen = []
-    for (frame, _), topics in of_laser.items():
-        best = max(topics, key=lambda name: (name == _USUAL, _last(name) == "scan", source.topics[name].messages))
-        others = ", ".join(name for name in topics if name != best)
-        if others:
-            remarks.append(f"{others} left out: scans of the same laser ({frame}) as {best} (--scan TOPIC takes it)")
-        chosen.append(best)
-    return sorted(chosen)
-
-
-def _why_not_one_robot(seen: Survey, names: Sequence[str]) -> str:
-    """Return why these cannot be taken for different lasers of one robot; empty where they can."""
+def _why_not_together(seen: Survey, names: Sequence[str]) -> str:
+    """Return why these cannot be taken for different lasers, fixed on one robot; empty where they can."""
     frames = {name: seen.scans[name].frame for name in names}
     bases = {name: _base_above(seen, frame) for name, frame in frames.items()}
-    reported = set(bases.values())
-    if "" not in reported and len(reported) > 1:
+    for name, base in bases.items():
+        if not base:
+            return f"there are several lasers, and the mounting of {name} ({frames[name]}) is unknown (no transform)"
+        if any(seen.links[step.link].moves for step in seen.way(base, frames[name]) or ()):
+            return f"there are several lasers, and {name} moves on the robot"
+    if len(set(bases.values())) > 1:
         return f"there are lasers of several robots ({', '.join(f'{name} on {base}' for name, base in bases.items())})"
-    if len({_namespace(name) for name in names}) > 1 and "" in reported:
-        return "there are lasers in several namespaces, maybe of several robots"
-    if "" in reported:
-        missing = next(name for name, base in bases.items() if not base)
-        return f"there are several lasers, and the mounting of {missing} ({frames[missing]}) is unknown (no transform)"
+    if len(set(frames.values())) < len(names):
+        return "there are several topics of one laser (in one frame)"
     return ""
 
 

@@ -19,7 +19,6 @@ from gridslam.slam.loop_closure.drift_model import (
 from gridslam.slam.pose_graph.pose_graph import PoseGraph
 from gridslam.types import FloatArray, IntArray
 
-_HALF_LINE_M = 0.4
 """Half the length of a line along an open direction: those of key scans half a metre apart touch."""
 
 _SCALE_SIGMA = 0.0008
@@ -169,19 +168,6 @@ def scan_covariances(
         known = rotate_covariances(information, poses[:, 2])
         own_errors = own_errors @ np.linalg.inv(np.eye(3) + known @ own_errors)
     return np.concatenate(parts) + own_errors + scale_covariances(_SCALE_SIGMA, poses[:, :2] - poses[0, :2])
-
-
-def find_open_directions(graph: PoseGraph) -> FloatArray:
-    """Lines (L, 4), [x0, y0, x1, y1] in m, through poses along directions that their scans left open.
-
-    There the position of the increment is at least twice as uncertain along the line as across it.
-    """
-    increments = graph.edges[: len(graph.poses) - 1, 1]
-    poses = graph.poses[increments]
-    variances, axes = np.linalg.eigh(rotate_covariances(_increment_covariances(graph), poses[:, 2])[:, :2, :2])
-    is_open = variances[:, 1] > 4 * variances[:, 0]
-    half: FloatArray = _HALF_LINE_M * axes[is_open, :, 1]
-    return np.concatenate([poses[is_open, :2] - half, poses[is_open, :2] + half], axis=1)
 
 
 def _split(drives: Sequence[TrackedScans], key_scans: int) -> Iterator[tuple[slice, TrackedScans]]:
