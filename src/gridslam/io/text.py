@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import bz2
-import errno
 import gzip
 import hashlib
 import json
@@ -34,31 +33,20 @@ def open_for_reading(path: str | Path) -> IO[bytes]:
     Pipes, devices and sockets are refused: files are read more than once, and what comes of a pipe is there only once.
     """
     try:
-        file = open(path, "rb", opener=_open_at_once)  # noqa: SIM115 the caller closes it
+        mode = os.stat(path).st_mode  # looked at first: who opens a pipe waits for its other end
+        if stat.S_ISDIR(mode):
+            raise InputError(path, "expected a file, got a directory")
+        if not stat.S_ISREG(mode):
+            raise InputError(path, "expected a file, got a pipe or a device: write what it gives to a file first")
+        file = open(path, "rb")  # noqa: SIM115 the caller closes it
     except FileNotFoundError:
         raise InputError(path, "no such file") from None
-    except IsADirectoryError:
-        raise InputError(path, "expected a file, got a directory") from None
     except (OSError, ValueError) as error:  # ValueError: a path with a zero byte in it
-        if getattr(error, "errno", None) == errno.ENXIO:
-            raise InputError(path, _describe_stream("a socket")) from None
         raise InputError(path, f"cannot be opened: {getattr(error, 'strerror', None) or error}") from None
-    found = os.fstat(file.fileno())
-    if stat.S_ISREG(found.st_mode) and found.st_size:
+    if os.fstat(file.fileno()).st_size:
         return file
     file.close()
-    if stat.S_ISREG(found.st_mode):
-        raise InputError(path, "the file is empty")
-    raise InputError(path, _describe_stream("a pipe" if stat.S_ISFIFO(found.st_mode) else "a device"))
-
-
-def _describe_stream(what: str) -> str:
-    return f"expected a file, got {what}: write what it gives to a file first"
-
-
-def _open_at_once(path: str, flags: int) -> int:
-    """Open a file, without waiting for the other end of a pipe."""
-    return os.open(path, flags | getattr(os, "O_NONBLOCK", 0))
+    raise InputError(path, "the file is empty")
 
 
 @contextmanager

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -37,7 +36,6 @@ _CSV_ROW = "%s%d.%09d" + ",%.9f" * 3 + ",%.9g" * 6 + "\n"
 """Sign, seconds and nanoseconds of the stamp, poses of nine decimals; covariances have nine significant digits."""
 _PLANAR = (1e-3, 1e-3, 1e-3)  # m, rad, rad
 _DIGITS_OF_NS = 17  # since 1973; in s it would be a time of a billion years
-_DECIMALS = {13: 3, 16: 6}  # of a whole number of ms or us since 1970, by its digits
 _TIME_NAMES = ("timestamp", "time", "stamp", "t")  # of the first column, in a line of names
 
 
@@ -96,8 +94,8 @@ def _is_ns(stamp: str) -> bool:
 def read_tum(path: str | Path) -> Trajectory:
     """Read a trajectory, in file order; the heading is the yaw of the quaternion.
 
-    Values are separated by blanks, or by commas; a line may have the columns' names. Stamps are in s, or in ms, us
-    or ns since 1970 where the first one is a whole number of 13, of 16, or of 17 digits or more.
+    Values are separated by blanks, or by commas; a line may have the columns' names. Stamps are in s, or in ns since
+    1970 where the first one is a whole number of 17 digits or more.
 
     Raises
     ------
@@ -106,7 +104,7 @@ def read_tum(path: str | Path) -> Trajectory:
         and a quaternion of unit norm (within 1 %).
     """
     first = _split(_first_row(path))
-    parse = _find_stamps(first[0]) if first else parse_stamp_ns
+    parse = parse_whole_ns if first and _is_ns(first[0]) else parse_stamp_ns
     how = {"parse_stamp": parse, "split": _split, "skip": _has_names}
     return _of_quaternions(path, read_table(path, "stamp x y z qx qy qz qw", 1, **how))
 
@@ -119,15 +117,6 @@ def _first_row(path: str | Path) -> str:
 def _has_names(line: str) -> bool:
     """Return whether a line has the names of the columns."""
     return (_split(line) or [""])[0].lower() in _TIME_NAMES
-
-
-def _find_stamps(first: str) -> Callable[[str], int]:
-    """Return the parser for stamps in the form of the first one."""
-    if _is_ns(first):
-        return parse_whole_ns
-    if not first.isdecimal() or len(first) not in _DECIMALS:
-        return parse_stamp_ns
-    return lambda word: parse_stamp_ns(f"{word}e-{_DECIMALS[len(first)]}")
 
 
 def _split(line: str) -> list[str]:

@@ -36,7 +36,7 @@ def test_several_robots_must_be_told_apart(tmp_path):
     assert "several robots" in said
     assert "choose with --scan TOPIC among /r1/scan, /r2/scan" in said
     (tmp_path / "log.bag").unlink()
-    chosen = choice_of(tmp_path, both, scan_topics=("/r2/scan",))
+    chosen = choice_of(tmp_path, both, scan_topics=("/r2/scan",), odometry_topic="/r2/odom")
     assert (chosen.odometry, chosen.base_frame) == ("/r2/odom", "r2/base_link")
 
 
@@ -49,9 +49,9 @@ SWINGING = [transform(0.0, "base_link", "laser"), transform(0.1, "base_link", "l
 @pytest.mark.parametrize(
     ("links", "why"),
     [
-        (MOUNTED, "one laser (in one frame)"),
-        ([], "mounting of /a_scan (laser) is unknown"),
-        (SWINGING, "/a_scan moves"),
+        (MOUNTED, "several topics of one laser (in one frame)"),
+        ([], "the mounting of /a_scan (laser) is unknown"),
+        (SWINGING, "/a_scan moves on the robot"),
     ],
 )
 def test_of_topics_that_do_not_go_together_only_scan_is_taken_unasked(tmp_path, links, why):

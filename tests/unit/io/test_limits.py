@@ -79,10 +79,10 @@ def test_pipes_sockets_and_devices_are_refused_by_name(tmp_path):
     os.mkfifo(tmp_path / "pipe")  # to open one waits for a writer
     with socket.socket(socket.AF_UNIX) as listener:
         listener.bind(str(tmp_path / "socket"))
-        for name, what in (("pipe", "a pipe"), ("socket", "a socket")):
-            with pytest.raises(InputError, match=f"{name}: expected a file, got {what}"):
+        for name in ("pipe", "socket"):
+            with pytest.raises(InputError, match=f"{name}: expected a file, got a pipe or a device"):
                 open_log(tmp_path / name)
-    with pytest.raises(InputError, match="got a device"):
+    with pytest.raises(InputError, match="got a pipe or a device"):
         read_tum("/dev/zero")
     with pytest.raises(InputError, match="cannot be opened"):
         open_for_reading("a\0b")

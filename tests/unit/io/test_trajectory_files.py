@@ -98,14 +98,6 @@ def test_a_line_of_commas_alone_is_refused_by_its_number(tmp_path):
         read_trajectory(tmp_path / "t.csv")
 
 
-@pytest.mark.parametrize(("per_s", "digits"), [(10**3, 13), (10**6, 16)])
-def test_whole_stamps_since_1970_are_in_the_unit_that_their_digits_have(tmp_path, per_s, digits):
-    stamps = [STAMPS[0] // (10**9 // per_s), STAMPS[0] // (10**9 // per_s) + 1]
-    assert len(str(stamps[0])) == digits
-    (tmp_path / "t.txt").write_text("".join(f"{stamp} 0 0 0 0 0 0 1\n" for stamp in stamps))
-    assert (read_trajectory(tmp_path / "t.txt").stamps_ns - STAMPS[0]).tolist() == [0, 10**9 // per_s]
-
-
 @pytest.mark.parametrize(
     ("text", "line"),
     [

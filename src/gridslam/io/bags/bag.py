@@ -5,8 +5,11 @@ from __future__ import annotations
 import math
 from collections import Counter, deque
 from collections.abc import Iterator
+from functools import lru_cache
 from pathlib import Path
 from typing import NamedTuple, final
+
+import numpy as np
 
 from gridslam.errors import ArgumentError, InputError
 from gridslam.io.bags.rig import Rig
@@ -21,7 +24,6 @@ from gridslam.types import FloatArray, LaserScan, Odometry, ScanGeometry
 
 _ALL = LogOptions()
 _LATE_S = 1.0  # transforms on /tf are published at least this often
-_MOST_GEOMETRIES = 64  # cheap lidars turn unevenly, so that each scan has angles of its own
 _PATIENCE_NS = 1_000_000_000
 _MOST_WAITING = 1000  # scans, whatever the times of recording
 _WHY = {
@@ -130,7 +132,6 @@ class _BagReading:
         self._seen = seen
         self._statistics = statistics
         self._rig = Rig(choice, seen)
-        self._maker = BagScanBuilder()
         self._clocks = ClockComparison()
         self._waiting: deque[_Waiting] = deque()
         self._beams: dict[str, int] = {}  # of the first scan of each topic
@@ -212,7 +213,7 @@ class _BagReading:
             statistics.missing_transforms[f"mounting: {laser.mounting.source}"] += 1
         if laser.has_moved:
             statistics.moving_mountings[topic] += 1
-        made = self._maker.scan(message, scan.stamp_ns, topic, laser.base_from_laser)
+        made = _make_scan(message, scan.stamp_ns, topic, laser.base_from_laser)
         if message.time_increment > 0 and made.beam_times_s is None:
             statistics.remarks[f"by the time_increment of {topic} a scan takes 10 s or more: not used"] += 1
         measurement = Measurement(odometry, made)
@@ -261,32 +262,25 @@ class ClockComparison:
         return apart_ns / 1e9 if abs(apart_ns) > _PATIENCE_NS else 0.0
 
 
-@final
-class BagScanBuilder:
-    """Makes scans whose geometries are shared as far as their angles and mountings are the same."""
+@lru_cache(maxsize=64)  # cheap lidars turn unevenly, so that each scan has angles of its own
+def _make_geometry(angle_min: float, angle_increment: float, beams: int, base_from_laser: bytes) -> ScanGeometry:
+    """Return the geometry of scans with the same angles and mounting, which they share."""
+    mounting = np.frombuffer(base_from_laser).reshape(4, 4)
+    return ScanGeometry(angle_min + angle_increment * np.arange(beams), mounting)
 
-    def __init__(self) -> None:
-        self._geometries: dict[tuple[float, float, int, int], tuple[ScanGeometry, FloatArray]] = {}
 
-    def scan(self, message: ScanMessage, stamp_ns: int, sensor: str, base_from_laser: FloatArray) -> LaserScan:
-        """Make a scan, by the rules of `LaserScan.from_ros`."""
-        key = message.angle_min, message.angle_increment, len(message.ranges), id(base_from_laser)
-        kept = self._geometries.get(key)
-        scan = LaserScan.from_ros(
-            stamp_ns,
-            message.ranges,
-            angle_min=message.angle_min,
-            angle_increment=message.angle_increment,
-            range_min=message.range_min,
-            range_max=message.range_max,
-            time_increment=message.time_increment,
-            base_from_laser=base_from_laser,
-            geometry=kept and kept[0],
-            sensor=sensor,
-            frame=message.frame,
-        )
-        if kept is None:
-            self._geometries[key] = scan.geometry, base_from_laser  # kept too: while it is, nothing else has its id
-            if len(self._geometries) > _MOST_GEOMETRIES:
-                del self._geometries[next(iter(self._geometries))]
-        return scan
+def _make_scan(message: ScanMessage, stamp_ns: int, sensor: str, base_from_laser: FloatArray) -> LaserScan:
+    """Make a scan, by the rules of `LaserScan.from_ros`."""
+    angles = message.angle_min, message.angle_increment
+    return LaserScan.from_ros(
+        stamp_ns,
+        message.ranges,
+        angle_min=message.angle_min,
+        angle_increment=message.angle_increment,
+        range_min=message.range_min,
+        range_max=message.range_max,
+        time_increment=message.time_increment,
+        geometry=_make_geometry(*angles, len(message.ranges), base_from_laser.tobytes()),
+        sensor=sensor,
+        frame=message.frame,
+    )

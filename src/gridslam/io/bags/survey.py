@@ -292,7 +292,7 @@ def choose(source: BagSource, seen: Survey, options: LogOptions) -> Choice:
     for name in scans:
         if problem := seen.scans[name].problem:
             raise InputError(source.path, f"the scans of {name}: {problem}")
-    odometry = "" if options.no_odometry else _odometry_topic(source, seen, options, scans, remarks)
+    odometry = "" if options.no_odometry else _odometry_topic(source, seen, options, remarks)
     above = [seen.ancestors(seen.scans[name].frame) for name in scans]
     if odometry:
         frame = seen.odometry[odometry].frame
@@ -365,9 +365,7 @@ def _why_not_together(seen: Survey, names: Sequence[str]) -> str:
     return ""
 
 
-def _odometry_topic(
-    source: BagSource, seen: Survey, options: LogOptions, scans: tuple[str, ...], remarks: list[str]
-) -> str:
+def _odometry_topic(source: BagSource, seen: Survey, options: LogOptions, remarks: list[str]) -> str:
     if options.odometry_topic:
         name = "/" + options.odometry_topic.removeprefix("/")
         if name not in seen.odometry:
@@ -380,9 +378,6 @@ def _odometry_topic(
     left = [name for name in sorted(seen.odometry) if name not in names]
     if left:
         remarks.append(f"{', '.join(left)} not used: by its name it is ground truth (--odom TOPIC takes it)")
-    if len(names) > 1:
-        spaces = {_namespace(name) for name in scans}
-        names = [name for name in names if _namespace(name) in spaces] or names
     if len(names) > 1:
         names = [name for name in names if _last(name) == "odom"] or names
     if len(names) > 1:
@@ -436,9 +431,3 @@ def _check_joined(path: Path, seen: Survey, target: str, source: str) -> None:
 
 def _last(name: str) -> str:
     return name.rpartition("/")[2]
-
-
-def _namespace(topic: str) -> str:
-    """Return first part of a topic's name, if it has several."""
-    first, _, rest = topic.strip("/").partition("/")
-    return first if rest else ""
