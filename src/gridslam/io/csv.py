@@ -188,10 +188,7 @@ class _Rows:
         text = line.rstrip("\r")
         if not self._names:
             text = text.removeprefix("\xef\xbb\xbf")  # the mark that some programs put before UTF-8
-        if not text or text.isspace():
-            return None
-        if text.startswith("#"):
-            self._statistics.comments += 1
+        if not text or text.isspace() or text.startswith("#"):
             return None
         if not self._names:
             self._names = _parse_header(text)

@@ -78,10 +78,6 @@ class LogStatistics:
         Scans stamped before the scan ahead of them, or like the scan ahead of them from the same sensor.
     first_stamp_ns, last_stamp_ns : int or None
         Stamps of the first and of the last scan in file order, ns.
-    comments : int
-        Comment lines.
-    parameters : dict
-        The log's parameters, last value each.
     unused_tags : Counter of str
         Lines of other kinds, by tag.
     mountings : dict of str to Mounting
@@ -124,8 +120,6 @@ class LogStatistics:
     duplicate_stamps: int = 0
     first_stamp_ns: int | None = None
     last_stamp_ns: int | None = None
-    comments: int = 0
-    parameters: dict[str, str] = field(default_factory=dict)
     unused_tags: Counter[str] = field(default_factory=Counter)
     mountings: dict[str, Mounting] = field(default_factory=dict)
     topics: dict[str, Topic] = field(default_factory=dict)

@@ -23,7 +23,6 @@ from gridslam.transforms import Coverage
 from gridslam.types import FloatArray, LaserScan, Odometry, ScanGeometry
 
 _ALL = LogOptions()
-_LATE_S = 1.0  # transforms on /tf are published at least this often
 _PATIENCE_NS = 1_000_000_000
 _MOST_WAITING = 1000  # scans, whatever the times of recording
 _WHY = {
@@ -102,15 +101,8 @@ def _remarks(seen: Survey, choice: Choice) -> Counter[str]:
     for what, count in seen.unusable.items():
         found[f"{what} is no pose (not finite, or no rotation): left out"] += count
     for name in choice.scans:
-        scans = seen.scans[name]
-        if not scans.stamped:
+        if not seen.scans[name].stamped:
             found[f"the scans of {name} are not stamped: the times of recording are taken"] += 1
-        for link, _ in seen.way(choice.base_frame, scans.frame) or ():
-            reported = seen.links[link]
-            late_s = 0.0 if reported.static else (reported.stamp_ns - scans.first_stamp_ns) / 1e9
-            if late_s > _LATE_S:
-                late = f"is first published {late_s:.1f} s after the first scan: assumed to hold before"
-                found[f"{link[0]} -> {link[1]} {late}"] += 1
     return found
 
 

@@ -61,7 +61,6 @@ class TopicInfo:
 
     frame: str
     child_frame: str
-    first_stamp_ns: int
     stamped: bool = False
     messages: int = 0
     problems: Counter[str] = field(default_factory=Counter)
@@ -84,18 +83,12 @@ class LinkInfo:
         Topic of the transform.
     pose : Rigid
         The first one of the child in the parent.
-    stamp_ns : int
-        Its stamp.
-    static : bool
-        Whether it was published as static.
     moves : bool
         Whether a later one is another by more than 5 mm or 0.01 rad.
     """
 
     topic: str
     pose: Rigid
-    stamp_ns: int
-    static: bool
     moves: bool = False
 
 
@@ -132,14 +125,14 @@ class Survey:
         below = down[: down.index(shared) + 1]
         return steps + [Step((parent, child), True) for parent, child in pairwise(reversed(below))]
 
-    def add(self, topic: str, transform: StampedTransform, static: bool) -> None:
+    def add(self, topic: str, transform: StampedTransform) -> None:
         """Add a transform."""
         pose = self.pose(transform.pose, f"{topic}: {transform.parent} -> {transform.child}")
         if pose is None or transform.parent == transform.child:
             return
         link = self.links.get((transform.parent, transform.child))
         if link is None:
-            link = LinkInfo(topic, pose, transform.stamp_ns, static)
+            link = LinkInfo(topic, pose)
             self.links[transform.parent, transform.child] = link
             self._parents.setdefault(transform.child, transform.parent)
         elif pose != link.pose:
@@ -218,13 +211,13 @@ def _note(found: Survey, name: str, message: Decoded) -> bool:
     if isinstance(message, list):
         links = len(found.links)
         for transform in message:
-            found.add(name, transform, name.endswith("tf_static"))
+            found.add(name, transform)
         return len(found.links) > links
     topics = found.scans if isinstance(message, ScanMessage) else found.odometry
     new = name not in topics
     if new:
         child = message.child_frame if isinstance(message, OdometryMessage) else ""
-        topics[name] = TopicInfo(message.frame, child, message.stamp_ns)
+        topics[name] = TopicInfo(message.frame, child)
     topic = topics[name]
     topic.stamped = topic.stamped or message.stamp_ns != 0
     topic.messages += 1

@@ -141,17 +141,14 @@ class _Parser:
     def _other(self, line: str, number: int) -> Iterator[Measurement]:
         words = line.split()
         tag = words[0]
-        if tag.startswith("#"):
-            self.statistics.comments += 1
-        elif tag == "PARAM" and len(words) >= 3:
+        if tag == "PARAM" and len(words) >= 3:
             name, value = words[1:3]
-            self.statistics.parameters[name] = value
             if name in USED_PARAMETERS:
                 yield from self._flush()
                 self._lasers.set_parameter(name, value, number)
         elif tag in SCAN_TAGS:  # after or before other white space than one blank
             self._add(tag, line.strip(), number)
-        else:
+        elif not tag.startswith("#"):
             self.statistics.unused_tags[tag] += 1
 
     def _add(self, tag: str, line: str, number: int) -> None:
