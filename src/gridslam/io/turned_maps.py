@@ -9,28 +9,28 @@ import numpy as np
 from numpy.typing import NDArray
 
 _QUARTER_RAD = 1e-3  # from a quarter turn: half a cell of 5 cm in 25 m
+_BAND = 256  # rows at a time
 
 _Value = TypeVar("_Value", bound=np.generic)
 
 
 def count_turned_cells(shape: tuple[int, int], yaw_rad: float) -> int:
     """Number of cells that `turn_cells` returns for a shape (H, W)."""
-    rows, columns = _find_bounds(shape, _find_turn(yaw_rad))[1]
+    rows, columns = shape if _find_quarters(yaw_rad) is not None else _find_bounds(shape, yaw_rad)[1]
     return rows * columns
 
 
-def _find_turn(yaw_rad: float) -> NDArray[np.float64]:
-    """Rotation (2, 2) by a yaw, or by the quarter turns that it nearly is."""
-    quarters = round(yaw_rad / (math.pi / 2)) * math.pi / 2
-    yaw_rad = quarters if abs(yaw_rad - quarters) < _QUARTER_RAD else yaw_rad
-    cosine, sine = math.cos(yaw_rad), math.sin(yaw_rad)
-    return np.array([[cosine, -sine], [sine, cosine]]).round(15)
+def _find_quarters(yaw_rad: float) -> int | None:
+    """The number of quarter turns that a yaw is; None for another."""
+    quarters = round(yaw_rad / (math.pi / 2))
+    return quarters if abs(yaw_rad - quarters * math.pi / 2) < _QUARTER_RAD else None
 
 
-def _find_bounds(shape: tuple[int, int], turn: NDArray[np.float64]) -> tuple[NDArray[np.float64], tuple[int, int]]:
+def _find_bounds(shape: tuple[int, int], yaw_rad: float) -> tuple[NDArray[np.float64], tuple[int, int]]:
     """Lowest x and y (2,) of a turned map, in cells from its corner, and how many rows and columns hold it."""
     height, width = shape
-    corners = np.array([[0, 0], [width, 0], [0, height], [width, height]]) @ turn.T
+    cosine, sine = math.cos(yaw_rad), math.sin(yaw_rad)
+    corners = np.array([[0, 0], [width, 0], [0, height], [width, height]]) @ np.array([[cosine, sine], [-sine, cosine]])
     low = corners.min(axis=0)
     columns, rows = np.ceil(corners.max(axis=0) - low).astype(int).tolist()
     return low, (rows, columns)
@@ -41,8 +41,8 @@ def turn_cells(
 ) -> tuple[NDArray[_Value], tuple[float, float]]:
     """Sample a map that is turned about its lower left corner along the axes of its frame.
 
-    A cell takes the value of the one in which its centre lies, so that nothing moves by more than 0.71 cells; quarter
-    turns give each cell another place.
+    Quarter turns give each cell another place. Otherwise a cell takes the value of the one in which its centre lies, so
+    that nothing moves by more than 0.71 cells.
 
     Parameters
     ----------
@@ -64,11 +64,20 @@ def turn_cells(
     corner : (float, float), m
         Their lower left corner.
     """
-    from scipy import ndimage  # few maps are turned
-
-    turn = _find_turn(yaw_rad)
-    low, shape = _find_bounds((cells.shape[0], cells.shape[1]), turn)
+    height, width = cells.shape
+    quarters = _find_quarters(yaw_rad)
+    yaw_rad = yaw_rad if quarters is None else quarters * math.pi / 2
+    low, (rows, columns) = _find_bounds((height, width), yaw_rad)
     x, y = (np.array(corner) + resolution_m * low).tolist()
-    offset = turn @ (low[::-1] + 0.5) - 0.5  # of rows and columns, which are y and x: the inverse turn
-    turned = ndimage.affine_transform(cells, turn, offset, shape, order=0, mode="grid-constant", cval=unknown)
+    if quarters is not None:
+        return np.rot90(cells, -quarters), (x, y)
+    cosine, sine = math.cos(yaw_rad), math.sin(yaw_rad)
+    turned = np.full((rows, columns), unknown, cells.dtype)
+    across = low[0] + 0.5 + np.arange(columns)
+    for first in range(0, rows, _BAND):
+        up = (low[1] + 0.5 + np.arange(first, min(first + _BAND, rows)))[:, None]
+        column = np.floor(cosine * across + sine * up).astype(np.int64)
+        row = np.floor(cosine * up - sine * across).astype(np.int64)
+        is_inside = (column >= 0) & (column < width) & (row >= 0) & (row < height)
+        turned[first : first + _BAND][is_inside] = cells[row[is_inside], column[is_inside]]
     return turned, (x, y)
