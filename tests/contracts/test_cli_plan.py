@@ -1,4 +1,4 @@
-"""What `gridslam plan` writes and reports, from a map, a run and a session, and what it refuses."""
+"""What `gridslam plan` writes and reports, from a map and a run, and what it refuses."""
 
 import json
 import sys
@@ -27,7 +27,7 @@ def two_rooms(tmp_path_factory):
 
 @pytest.fixture(scope="module")
 def run(tmp_path_factory):
-    """The rooms world, its log, and the map, the folder and the session of it."""
+    """The rooms world, its log, and the map and the folder of it."""
     folder = tmp_path_factory.mktemp("run")
     assert main(["simulate", "rooms", "-o", str(folder / "rooms.clf.gz"), "--beams", "90"]) == 0
     arguments = [
@@ -35,8 +35,6 @@ def run(tmp_path_factory):
         folder / "rooms.clf.gz",
         "-o",
         folder / "out",
-        "--save",
-        folder / "rooms.gridslam",
         "--particles",
         "5",
     ]
@@ -62,18 +60,14 @@ def test_the_same_map_has_the_same_files(call, two_rooms, tmp_path):
     assert all((tmp_path / "a" / n).read_bytes() == (tmp_path / "b" / n).read_bytes() for n in NAMES)
 
 
-def test_a_run_and_a_session_are_planned_by_their_end_points(call, run, tmp_path):
+def test_a_run_is_planned_by_its_end_points(call, run, tmp_path):
     status, out, err = call(run / "out", "-o", tmp_path / "plan", "--json")
     assert (status, err) == (0, "")
-    of_folder = json.loads(out)
-    status, out, err = call(run / "rooms.gridslam", "-o", tmp_path / "plan", "--json")
-    assert (status, err) == (0, "")
-    of_session = json.loads(out)
-    for document in (of_folder, of_session):
-        assert document["made_from"] == "end points"
-        assert len(document["rooms"]) == 6
-        widths = sorted(door["width_m"] for door in document["doors"])
-        assert widths == pytest.approx([1.1, 1.1, 1.1, 1.1, 1.2, 1.2], abs=0.05)
+    document = json.loads(out)
+    assert document["made_from"] == "end points"
+    assert len(document["rooms"]) == 6
+    widths = sorted(door["width_m"] for door in document["doors"])
+    assert widths == pytest.approx([1.1, 1.1, 1.1, 1.1, 1.2, 1.2], abs=0.05)
 
 
 def test_a_run_without_its_log_is_planned_by_its_cells(call, run, tmp_path):
