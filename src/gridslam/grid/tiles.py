@@ -17,6 +17,7 @@ from gridslam.geometry.single_pose import Information, Pose
 from gridslam.grid.arena import TileArena, renumber
 from gridslam.grid.cells import LOG_ODDS_UNIT, Evidence, cell_corner
 from gridslam.kernels import FARTHEST, MOST_BEAM_CELLS, NO_ROOM, OUTSIDE, PAGE, TILE, UNKNOWN, backend
+from gridslam.kernels.reference_maps import Updated
 from gridslam.kernels.reference_update import unknown_of
 from gridslam.types import BeamEnds, FloatArray, Int32Array, IntArray, OccupancyGrid, Points, Poses, Rows
 
@@ -270,7 +271,8 @@ class TileMaps:
         pending = _NOTHING_PENDING
         while True:
             ids = arena.page_refs, arena.tile_refs, *arena.free_ids
-            status, pages, tiles, left, pending = backend.update(*self._view, *ids, pending, room, rows, poses, *scan)
+            updated: Updated = backend.update(*self._view, *ids, pending, room, rows, poses, *scan)
+            status, pages, tiles, left, pending = updated
             arena.allocate(pages, tiles)
             if status or not (len(left) or len(pending)):
                 return status

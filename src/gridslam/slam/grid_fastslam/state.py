@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from gridslam import serialization
 from gridslam.arguments import Size, index_of
 from gridslam.checked import checked
-from gridslam.errors import ArgumentError, ConsumedStateError
+from gridslam.errors import ArgumentError
 from gridslam.geometry.angles import wrap
 from gridslam.geometry.single_pose import Pose
 from gridslam.grid.tiles import TileMaps
@@ -26,7 +26,7 @@ from gridslam.slam.loop_closure.drift_model import compute_moments
 from gridslam.slam.loop_closure.state import LoopClosureState
 from gridslam.tracking.state import UnmatchedMotion
 from gridslam.tracking.tracker import TrackerState
-from gridslam.types import FloatArray, IntArray, describe_pose
+from gridslam.types import FloatArray, IntArray, OwnedState, describe_pose
 
 STATE_SCHEMA = "gridslam.state/15"
 
@@ -60,7 +60,7 @@ class BeforeStep(NamedTuple):
 
 @final
 @dataclass(slots=True, eq=False)
-class GridFastSlamState:
+class GridFastSlamState(OwnedState):
     """Everything that the filter knows between two scans; arrays in it are replaced, never written to.
 
     Attributes
@@ -115,7 +115,6 @@ class GridFastSlamState:
     lost: bool = False
     closure_state: LoopClosureState | None = None
     best: Annotated[int, index_of("N")] = 0
-    consumed: bool = field(default=False, metadata=NOT_SAVED)
     before_step: BeforeStep = field(default=BeforeStep(), metadata=NOT_SAVED)  # when it was consumed
 
     def __repr__(self) -> str:
@@ -148,9 +147,7 @@ class GridFastSlamState:
 
     def take(self) -> GridFastSlamState:
         """Hand the contents over to a new owner; this one raises ConsumedStateError from now on."""
-        self._check()
-        owner = replace(self)
-        self.consumed = True
+        owner = OwnedState.take(self)
         scans = 0 if self.closure_state is None else len(self.closure_state.scans)
         self.before_step = BeforeStep(self.ancestry.steps, scans, self.tracker.unmatched)
         return owner
@@ -233,7 +230,7 @@ class GridFastSlamState:
 
     def snapshot(self) -> GridFastSlamState:
         """Keep this state for later, at the cost of its tables: maps are copied only where either side writes."""
-        self._check()
+        self.require_owned()
         return replace(
             self,
             tracker=self.tracker.snapshot(),
@@ -254,7 +251,7 @@ class GridFastSlamState:
 
     def to_arrays(self) -> dict[str, NDArray[Any]]:
         """Plain arrays under the schema `STATE_SCHEMA`; `from_arrays` continues with identical results."""
-        self._check()
+        self.require_owned()
         computed = replace(self, _covariance=self.covariance)
         return {"schema": np.array(STATE_SCHEMA), **serialization.to_arrays(computed)}
 
@@ -271,7 +268,3 @@ class GridFastSlamState:
         require_log_weights(state.log_weights)
         state.tracker.maps.threads = 1  # two maps are faster without
         return state
-
-    def _check(self) -> None:
-        if self.consumed:
-            raise ConsumedStateError

@@ -7,7 +7,7 @@ for each particle with its own map.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -17,13 +17,12 @@ from gridslam.geometry.angles import wrap
 from gridslam.geometry.se2 import lever_arm_jacobian
 from gridslam.models.association import NEW
 from gridslam.models.landmark import LandmarkObservations
-from gridslam.particles.policies import EffectiveSampleSizeBelow, ResamplingPolicy
-from gridslam.particles.resampling import Systematic
-from gridslam.slam.landmarks.filters import Innovation, LandmarkFilters
+from gridslam.slam.landmarks.fastslam1 import FastSlam1
+from gridslam.slam.landmarks.filters import Innovation
 from gridslam.slam.landmarks.particles import LandmarkParticles, PoseBelief
-from gridslam.slam.landmarks.report import LandmarkMap, LandmarkReport
+from gridslam.slam.landmarks.report import LandmarkReport
 from gridslam.slam.landmarks.small_gaussians import draw_poses, kalman_update, transform_covariances
-from gridslam.types import MotionSampler, Resampler
+from gridslam.types import MotionSampler
 
 
 @dataclass(eq=False)
@@ -49,7 +48,7 @@ class PoseProposal(PoseBelief):
 
 
 @dataclass(frozen=True)
-class FastSlam2:
+class FastSlam2(FastSlam1):
     """The filter: it has no state of its own; `step` takes a state and returns the next one.
 
     The pose is sampled from p(x_t | x_t-1, u_t, z_t, c_t), a Gaussian by linearizing the measurement model about the
@@ -69,10 +68,6 @@ class FastSlam2:
     p(z_t | x_t-1, u_t, c_t), as in the paper. Without observations no pose is sampled yet, and the Gaussian of the
     motion is carried on. The table resamples at every step.
     """
-
-    landmarks: LandmarkFilters = field(default_factory=LandmarkFilters)
-    resampler: Resampler = Systematic()
-    when_to_resample: ResamplingPolicy = EffectiveSampleSizeBelow()
 
     def init(self, particles: int = 20, pose: ArrayLike = (0.0, 0.0, 0.0)) -> LandmarkParticles:
         """Begin with all particles at one pose (3,), without landmarks."""
@@ -107,16 +102,7 @@ class FastSlam2:
             seen = self.landmarks.innovation(state, rows, columns[rows, k], sampled, observations, k)
             self.landmarks.correct(state, seen)
             self.landmarks.add(state, columns[:, k], sampled, observations, k)  # new landmark: h^-1(z_t, x_t)
-        self.landmarks.count(state, columns)  # the counters i_j, of landmarks that should have been seen, too
-        report = state.report(columns)
-        if self.when_to_resample(report.n_eff, len(state)):
-            drawn = self.resampler(np.exp(state.log_weights), len(state), rng)
-            report = replace(report, parents=state.resample(drawn))
-        return state, report
-
-    def landmark_map(self, state: LandmarkParticles) -> LandmarkMap:
-        """Return the confirmed landmarks of the best particle."""
-        return state.landmark_map()
+        return self.finish(state, columns, rng)
 
     def _predict(self, state: LandmarkParticles, motion: MotionSampler) -> PoseProposal:
         """p(x_t | x_t-1, u_t), of a pose x_t-1 that was sampled, or whose Gaussian was carried on."""
