@@ -100,11 +100,6 @@ class TileArena:
         return len(self.tile_refs) - 1 - len(self._free_tiles)
 
     @property
-    def tile_bytes(self) -> int:
-        """Of a tile's log-odds and field."""
-        return (self.log_odds.itemsize + self.field.itemsize) * TILE * TILE
-
-    @property
     def nbytes(self) -> int:
         """Bytes held, used or not."""
         held = (self.pages, self.log_odds, self.field, self.page_refs, self.tile_refs)

@@ -495,7 +495,8 @@ class TileMaps:
         is_new = (tile == 0) | (arena.tile_refs[tile] > 1) | (arena.page_refs[page] > 1)
         needed = self.tiles_used + int(np.count_nonzero(is_new))
         if needed > self.most_tiles:
-            size = f"{self.most_tiles} tiles, {1e-9 * self.most_tiles * arena.tile_bytes:.2g} GB"
+            tile_bytes = arena.log_odds[0].nbytes + arena.field[0].nbytes
+            size = f"{self.most_tiles} tiles, {1e-9 * self.most_tiles * tile_bytes:.2g} GB"
             expected = (
                 f"at most {size} for all particles (mapper.max_tiles; larger cells and fewer particles need less)"
             )

@@ -19,7 +19,7 @@ from gridslam.geometry.single_pose import Pose
 from gridslam.grid.tiles import TileMaps
 from gridslam.mapping.occupancy_grid_mapping import OccupancyGridMapping
 from gridslam.particles.ancestry import Ancestry
-from gridslam.particles.resampling import normalize, relative_to_greatest, require_log_weights
+from gridslam.particles.resampling import normalize, require_log_weights
 from gridslam.serialization import NOT_SAVED
 from gridslam.slam.grid_fastslam.smoothed_pose import SmoothedPose
 from gridslam.slam.loop_closure.drift_model import compute_moments
@@ -184,7 +184,8 @@ class GridFastSlamState(OwnedState):
     def weigh(self, log_weights: FloatArray) -> None:
         """Weigh the particles by the log likelihoods (N,), in nats, of a scan."""
         self.log_weights = normalize(self.log_weights + log_weights)
-        self.log_ancestry = relative_to_greatest(self.log_ancestry + log_weights)
+        accumulated = self.log_ancestry + log_weights
+        self.log_ancestry = accumulated - accumulated.max()
         if self.log_ancestry[self.best] < -_DECISIVE:
             self.best = int(self.log_ancestry.argmax())
 

@@ -18,33 +18,10 @@ from gridslam.geometry.se2 import lever_arm_jacobian
 from gridslam.models.association import NEW
 from gridslam.models.landmark import LandmarkObservations
 from gridslam.slam.landmarks.fastslam1 import FastSlam1
-from gridslam.slam.landmarks.filters import Innovation
 from gridslam.slam.landmarks.particles import LandmarkParticles, PoseBelief
 from gridslam.slam.landmarks.report import LandmarkReport
 from gridslam.slam.landmarks.small_gaussians import draw_poses, kalman_update, transform_covariances
 from gridslam.types import MotionSampler
-
-
-@dataclass(eq=False)
-class PoseProposal(PoseBelief):
-    """p(x_t | x_t-1, u_t, z_t, c_t): the Gaussian from which the pose of each particle is sampled.
-
-    The means mu_x are the predicted poses, corrected by the observations so far; the covariances Sigma_x those of the
-    motion, R_t, reduced by the observations so far.
-    """
-
-    def correct(self, seen: Innovation) -> None:
-        """Condition on an observation, where it has a landmark.
-
-        Sigma_x = [H_x' Q^-1 H_x + R^-1]^-1 = R - K H_x R and mu_x = x + Sigma_x H_x' Q^-1 (z - h) = x + K (z - h), with
-        the Kalman gain K = R H_x' L^-1, which needs no inverse of R: that may be singular.
-        """
-        kalman_update(self.poses, self.covariances, seen.rows, seen.by_pose, seen.covariances, seen.residuals)
-        self.poses[:, 2] = wrap(self.poses[:, 2])
-
-    def sample(self, rng: np.random.Generator) -> PoseBelief:
-        """x_t ~ N(mu_x, Sigma_x)."""
-        return PoseBelief(draw_poses(self.poses, self.covariances, rng), np.zeros_like(self.covariances))
 
 
 @dataclass(frozen=True)
@@ -54,6 +31,10 @@ class FastSlam2(FastSlam1):
     The pose is sampled from p(x_t | x_t-1, u_t, z_t, c_t), a Gaussian by linearizing the measurement model about the
     mean so far, one observation after the other. The weight is p(z_t | x_t-1, u_t, c_t), in which neither the sampled
     pose nor the landmarks that it then corrects have a part: what the proposal takes into account is not weighed again.
+
+    Each observation conditions the proposal N(mu_x, Sigma_x): Sigma_x = [H_x' Q^-1 H_x + R^-1]^-1 = R - K H_x R and
+    mu_x = x + Sigma_x H_x' Q^-1 (z - h) = x + K (z - h), with the Kalman gain K = R H_x' L^-1, which needs no inverse
+    of R: that may be singular.
 
     Attributes
     ----------
@@ -85,6 +66,7 @@ class FastSlam2(FastSlam1):
         require_generator(rng)
         state = state.take()
         proposal = self._predict(state, motion)  # predict pose: g(x_t-1, u_t), R_t
+        mu_x, Sigma_x = proposal.poses, proposal.covariances
         log_weights = np.zeros(len(state))
         columns = np.full((len(state), len(observations)), NEW)
         if not len(observations):
@@ -94,8 +76,11 @@ class FastSlam2(FastSlam1):
             # predict measurement: h, H_x, H_m, Q_j = H_m Sigma_j H_m' + Q_t, L = H_x R_t H_x' + Q_j; correspondence
             columns[:, k], log_p, seen = self.landmarks.correspond(state, observations, k, proposal, columns, rng)
             log_weights += log_p  # w = N(z; h, L), or p_0 for a new landmark
-            proposal.correct(seen)  # covariance and mean of proposal: Sigma_x, mu_x
-        sampled = proposal.sample(rng)  # sample pose: x_t ~ N(mu_x, Sigma_x)
+            # covariance and mean of proposal: Sigma_x = R - K H_x R, mu_x = x + K (z - h)
+            kalman_update(mu_x, Sigma_x, seen.rows, seen.by_pose, seen.covariances, seen.residuals)
+            mu_x[:, 2] = wrap(mu_x[:, 2])
+        drawn = draw_poses(mu_x, Sigma_x, rng)  # sample pose: x_t ~ N(mu_x, Sigma_x)
+        sampled = PoseBelief(drawn, np.zeros_like(Sigma_x))
         state.advance(sampled, log_weights)
         for k in range(len(observations)):  # update Kalman filters
             rows = np.flatnonzero(columns[:, k] >= 0)  # observed landmark: K = Sigma_j H_m' Q_j^-1
@@ -104,8 +89,8 @@ class FastSlam2(FastSlam1):
             self.landmarks.add(state, columns[:, k], sampled, observations, k)  # new landmark: h^-1(z_t, x_t)
         return self.finish(state, columns, rng)
 
-    def _predict(self, state: LandmarkParticles, motion: MotionSampler) -> PoseProposal:
+    def _predict(self, state: LandmarkParticles, motion: MotionSampler) -> PoseBelief:
         """p(x_t | x_t-1, u_t), of a pose x_t-1 that was sampled, or whose Gaussian was carried on."""
         poses, R = motion.moments(state.poses)
         G = lever_arm_jacobian(state.poses, poses)
-        return PoseProposal(poses, R + transform_covariances(G, state.pose_covariances))
+        return PoseBelief(poses, R + transform_covariances(G, state.pose_covariances))
