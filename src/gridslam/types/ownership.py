@@ -1,4 +1,4 @@
-"""States of filters that have one owner: a step takes over what it is given."""
+"""States of filters that have one owner, and that a step consumes."""
 
 from __future__ import annotations
 

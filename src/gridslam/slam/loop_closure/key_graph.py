@@ -369,6 +369,6 @@ def _stack(arrays: Iterable[Any], size: int) -> FloatArray:
 
 
 def _accumulate(sums: list[Any], added: list[Any]) -> None:
-    """Extend sums by those up to each of what is added."""
+    """Extend a list of sums by the sum up to each addend."""
     last = sums[-1:]
     sums += [*accumulate([*last, *added])][len(last) :]
