@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import math
 import os
 import subprocess
@@ -14,7 +13,6 @@ from typing import NamedTuple
 import numpy as np
 import pytest
 
-from gridslam.batch import child
 from gridslam.cli.main import main
 from gridslam.io.carmen.writer import write_carmen
 from gridslam.io.trajectories import write_tum
@@ -41,17 +39,6 @@ def call(capsys, monkeypatch):
         return status, out, err
 
     return run
-
-
-@pytest.fixture
-def jobs_here(monkeypatch):
-    """Run the jobs of a batch in this process, which has its imports done; what a child is for is tested elsewhere."""
-    ended = {"exit_status": 0, "timed_out": False, "wall_s": 1.0, "output_tail": "", "cpu_s": 1.0}
-
-    def run_here(request, timeout_s, stopped):
-        return {**ended, "peak_memory_bytes": 10**8, **child._execute(json.loads(json.dumps(request)))}
-
-    monkeypatch.setattr(child, "_run_child", run_here)
 
 
 @pytest.fixture(scope="session")

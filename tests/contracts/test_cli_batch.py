@@ -67,7 +67,7 @@ def test_each_log_is_mapped_as_by_map_and_the_broken_one_is_named(logs, tmp_path
     assert (status, "1 log: 1 done, in" in out) == (0, True)
 
 
-def test_a_manifest_has_options_of_its_own(jobs_here, logs, tmp_path, call, log):
+def test_a_manifest_has_options_of_its_own(logs, tmp_path, call, log):
     shutil.copy(log.with_name("truth.tum"), tmp_path / "truth.tum")
     manifest = tmp_path / "fleet.csv"
     manifest.write_text(
@@ -87,7 +87,7 @@ def test_a_manifest_has_options_of_its_own(jobs_here, logs, tmp_path, call, log)
     assert "evaluation" not in documents["second"]
 
 
-def test_doctor_and_localize_run_over_many_logs(jobs_here, logs, tmp_path, call):
+def test_doctor_and_localize_run_over_many_logs(logs, tmp_path, call):
     (logs / "broken.clf").unlink()
     (logs / "b.clf.bz2").unlink()
     maps = tmp_path / "maps"
@@ -146,7 +146,7 @@ def test_bad_input_is_one_line_and_writes_nothing(tmp_path, call, monkeypatch, a
     assert sorted(tmp_path.rglob("*")) == before
 
 
-def test_a_log_that_cannot_be_opened_is_a_row_and_the_others_are_mapped(jobs_here, logs, tmp_path, call):
+def test_a_log_that_cannot_be_opened_is_a_row_and_the_others_are_mapped(logs, tmp_path, call):
     odd = (
         "x" * 300 + ".clf",
         "http://bad/x.clf",

@@ -29,9 +29,6 @@ def logs(tmp_path_factory):
     return folder
 
 
-pytestmark = pytest.mark.usefixtures("jobs_here")
-
-
 @pytest.fixture
 def tuned(logs, tmp_path):
     out = tmp_path / "best.toml"

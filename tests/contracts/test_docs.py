@@ -88,7 +88,7 @@ def run_console(shown: str, capsys: pytest.CaptureFixture[str]) -> None:
 
 
 @pytest.mark.parametrize("page", RUN, ids=lambda page: page.name)
-def test_examples_run(page, jobs_here, tmp_path, monkeypatch, capsys):
+def test_examples_run(page, tmp_path, monkeypatch, capsys):
     """In a folder of its own, as in a terminal of no colour and one width."""
     monkeypatch.chdir(tmp_path)
     monkeypatch.setenv("COLUMNS", "120")

@@ -66,7 +66,6 @@ from gridslam.types import (
 _UNKNOWN_POSE = PoseEstimate(np.zeros(3), np.diag([1e6, 1e6, math.pi**2]), 0.0)
 _ROUNDING = 1e-6 * np.eye(3)  # a millimetre, for beliefs without any spread
 _CLUSTER = np.diag([CLUSTER_RADIUS_M / 2, CLUSTER_RADIUS_M / 2, CLUSTER_RADIUS_RAD / 2]) ** 2
-_NEW_PLACE = 0.25  # of `lost_above`: rooms that are not mapped look like mapped ones for the first metres
 _MAX_EVALUATED = 500  # particles whose agreement with a scan stands for that of all
 
 
@@ -116,9 +115,8 @@ class MonteCarloConfiguration:
         Inlier ratio with the map below which the robot is lost; random poses have 0.2. The lost probability starts to
         grow below one and a half times this ratio.
     lost_above : float, (0, 1)
-        Lost probability above which the robot is lost; until the reported place was verified also a quarter of it, as
-        the probability of all other places. With two that look alike it is far above, whatever little evidence a scan
-        has.
+        Lost probability above which the robot is lost. With two places that look alike it is far above, whatever little
+        evidence a scan has.
     confirm_distance_m : float, m, > 0
         The lost probability of a new fix includes exp(-path / confirm_distance_m): driving on disambiguates places that
         look alike.
@@ -455,14 +453,14 @@ class MonteCarloLocalization:
             state.outside_log_odds = compute_outside_log_odds(self.map, reported, state.recent, rng)
         else:
             state.outside_log_odds = update_outside_log_odds(state.outside_log_odds, self.map, reported, state.recent)
-        if state.verified or self._is_lost(state):
+        if state.verified or self._lost_probability(state) > self.configuration.lost_above:
             return
         found, alike_m = find_rivals(
             self.map, reported, state.recent, lambda guesses: self._match_near(guesses, _CLUSTER, beams), rng
         )
         state.outside_log_odds = bound_outside_log_odds(state.outside_log_odds, state.driven_since_found_m, alike_m)
         state.hypotheses = join_hypotheses(state.hypotheses, found, reported)
-        state.verified = not self._is_lost(state)
+        state.verified = self._lost_probability(state) <= self.configuration.lost_above
 
     def _report_skipped(
         self,
@@ -497,30 +495,20 @@ class MonteCarloLocalization:
         """
         probability = self._lost_probability(state)
         odds = state.hypotheses.odds
-        if not self._is_lost(state):
+        if probability <= self.configuration.lost_above:
             return covariance, probability, False
         theirs = min(probability, odds / (1 + odds))
         elsewhere = theirs * state.hypotheses.spread_about(state.estimate.pose)
         elsewhere += (probability - theirs) * self.map.spread_about(pose)
         return (1 - probability) * covariance + elsewhere, probability, True
 
-    def _is_lost(self, state: MonteCarloState) -> bool:
-        """Return whether the robot is lost; a new place must leave less to others than one that was verified."""
-        limit = self.configuration.lost_above
-        if not state.verified and 1 - self._place_probability(state) > _NEW_PLACE * limit:
-            return True
-        return self._lost_probability(state) > limit
-
-    def _place_probability(self, state: MonteCarloState) -> float:
-        """Return the probability of the reported place among all others, those outside the map included."""
-        outside = 0.0 if state.outside_log_odds is None else math.exp(state.outside_log_odds)
-        return min(state.estimate.mass, 1 / (1 + state.hypotheses.odds + outside))
-
     def _lost_probability(self, state: MonteCarloState) -> float:
         """Combine the cluster's mass, the hypotheses elsewhere, the distance since the fix, and the fit of the scan.
 
         What recovery draws from elsewhere is in the belief already: it has been weighed by the scan.
         """
+        outside = 0.0 if state.outside_log_odds is None else math.exp(state.outside_log_odds)
+        place = min(state.estimate.mass, 1 / (1 + state.hypotheses.odds + outside))
         followed = -math.expm1(-state.driven_since_found_m / self.configuration.confirm_distance_m)
         fits = min(max(state.inlier_ratio / self.configuration.lost_below - 0.5, 0.0), 1.0) if state.updates else 1.0
-        return 1 - self._place_probability(state) * followed * fits
+        return 1 - place * followed * fits

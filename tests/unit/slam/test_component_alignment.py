@@ -83,9 +83,9 @@ def test_a_rival_that_says_as_much_refutes(seen, monkeypatch):
 
 def decided(best, *, shifted, others=()):
     """Decide with every shift of the best hypothesis having the same log likelihood."""
-    alignment = Alignment(None, None, None, np.zeros(1, int), None)
+    alignment = Alignment(LoopClosureState(), None, None, np.zeros(1, int), None)
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(Alignment, "_draw", lambda *_: None)
+        patch.setattr(component_alignment, "build_map", lambda *_: None)
         patch.setattr(Alignment, "_score_both", lambda *_: (shifted, 1.0, 0.9))
         return alignment.decide([best, *others])
 

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gridslam import serialization
-from gridslam.arguments import Size, index_of
+from gridslam.arguments import COUNT, Size, index_of
 from gridslam.checked import checked
 from gridslam.errors import ArgumentError
 from gridslam.geometry.angles import wrap
@@ -28,7 +28,7 @@ from gridslam.tracking.state import UnmatchedMotion
 from gridslam.tracking.tracker import TrackerState
 from gridslam.types import FloatArray, IntArray, OwnedState, describe_pose
 
-STATE_SCHEMA = "gridslam.state/15"
+STATE_SCHEMA = "gridslam.state/16"
 
 _DECISIVE = 3.0
 """Nats, odds of 20 to 1, by which another particle is better before it is reported in place of the one that was: else
@@ -81,6 +81,8 @@ class GridFastSlamState(OwnedState):
         Log weight of each particle accumulated along its ancestry, relative to the greatest.
     drift : (9,) float64
         Moments of what that pose has drifted by since the start (see `gridslam.slam.loop_closure.drift_model`).
+    tracked_scans : int
+        Scans since the last key scan.
     drift_covariance : (3, 3) float64
         What the drift grew by since the key scan before, in the frame of the last one's pose.
     unmatched : UnmatchedMotion
@@ -113,6 +115,7 @@ class GridFastSlamState(OwnedState):
     drift_covariance: Annotated[FloatArray, 3, 3] = field(default_factory=lambda: np.zeros((3, 3)))
     unmatched: UnmatchedMotion = field(default_factory=UnmatchedMotion)
     lost: bool = False
+    tracked_scans: Annotated[int, COUNT] = 0
     closure_state: LoopClosureState | None = None
     best: Annotated[int, index_of("N")] = 0
     before_step: BeforeStep = field(default=BeforeStep(), metadata=NOT_SAVED)  # when it was consumed
@@ -178,6 +181,7 @@ class GridFastSlamState(OwnedState):
         self.poses = poses
         self.ancestry.extend(poses)
         self.key_pose = key_pose
+        self.tracked_scans = 0
         self.sensor_key_poses = {**self.sensor_key_poses, sensor: key_pose}
         self.unmatched = self.tracker.take_unmatched()
 
