@@ -150,7 +150,9 @@ class GridFastSlamState(OwnedState):
 
     def take(self) -> GridFastSlamState:
         """Hand the contents over to a new owner; this one raises ConsumedStateError from now on."""
-        owner = OwnedState.take(self)
+        self.require_owned()
+        owner = replace(self)
+        self.consumed = True
         scans = 0 if self.closure_state is None else len(self.closure_state.scans)
         self.before_step = BeforeStep(self.ancestry.steps, scans, self.tracker.unmatched)
         return owner
