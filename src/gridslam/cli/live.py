@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import threading
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager, ExitStack, contextmanager
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple, TypeVar
 
@@ -20,11 +21,10 @@ from gridslam.pipeline import describe_error, isolate
 if TYPE_CHECKING:
     from gridslam.api.mapping import MapResult
     from gridslam.io.log import Log
-    from gridslam.io.measurement import Measurement
     from gridslam.io.output import OutputFolder
-    from gridslam.live.history_recorder import HistoryRecorder
     from gridslam.live.page import LivePage
-    from gridslam.pipeline import Observer, Stopwatch
+    from gridslam.live.recorder import RunRecorder
+    from gridslam.pipeline import Stopwatch
     from gridslam.ros import NodeCore
     from gridslam.ros.node.messages import Diagnostics
     from gridslam.types import OccupancyGrid
@@ -36,24 +36,19 @@ class Viewers(NamedTuple):
     """Page and history of a run, None where not wanted, and its messages."""
 
     page: LivePage | None
-    history: HistoryRecorder | None
+    history: RunRecorder | None
     messages: Messages
 
     def watch(self, source: Log, watch: Stopwatch) -> dict[str, Any]:
         """Return the arguments `observers` and `gate` of a run on a log: the page controls when scans are processed."""
         page, history = self.page, self.history
-        observers: list[Observer] = []
         if page is not None:
             page.set_progress(lambda: source.statistics.share_read)
-            observers.append(isolate(page.observer, _warn_once("the page")))
+            observers = [isolate(page.observer, _warn_once("the page"))]
+            return {"observers": observers, "gate": partial(page.pace, stopwatch=watch)}
         if history is not None:
-            observers.append(isolate(history, _warn_once("the history")))
-
-        def gate(measurements: Iterable[Measurement]) -> Iterator[Measurement]:
-            paced = iter(measurements) if page is None else page.pace(measurements, watch)
-            return paced if history is None else history.follow(paced)
-
-        return {"observers": observers, "gate": gate}
+            return {"observers": [isolate(history, _warn_once("the history"))], "gate": history.follow}
+        return {"observers": [], "gate": iter}
 
     def write_history(self, folder: OutputFolder) -> None:
         """Write the history of the run, if there is one."""
@@ -110,24 +105,22 @@ def open_viewers(
     known: OccupancyGrid | None = None,
     *,
     out: Path | None = None,
-    is_localization: bool = False,
     has_history: bool = True,
 ) -> Iterator[Viewers]:
     """Yield the viewers; the page stays open while it is viewed, and replays the results in `out`.
 
     The known map is needed where a localization is looked at.
     """
-    from gridslam.live.history_recorder import HistoryRecorder
-
     messages = Messages(lambda level, text: warn(text))
-    history = HistoryRecorder(range_max_m, is_localization=is_localization) if has_history else None
     if live is None:
-        yield Viewers(None, history, messages)
+        from gridslam.live.recorder import RunRecorder
+
+        yield Viewers(None, RunRecorder(range_max_m) if has_history else None, messages)
         return
     from gridslam.live.page import LivePage
 
-    with serve_page(LivePage(title, live, range_max_m=range_max_m, known=known)) as page:
-        viewers = Viewers(page, history, messages)
+    with serve_page(LivePage(title, live, range_max_m=range_max_m, known=known, keeps_moments=has_history)) as page:
+        viewers = Viewers(page, page.observer.recorder if has_history else None, messages)
         announce(page.url, live)
         viewers.wait(live.wait_s or 0.0)
         yield viewers

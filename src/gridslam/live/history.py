@@ -196,10 +196,10 @@ class History:
             "closures": int((self.closures[:, 1] <= at).sum()),
         }
 
-    @property
-    def shown_closures(self) -> IntArray:
-        """Key scans (C, 2) of the loop closures that are drawn."""
-        return select_shown_closures(self.closures[: self.recognized], self.closures[self.recognized :])
+    def make_frame(self, path: Float32Array, particles: Float32Array = NO_CLOUD) -> Frame:
+        """Return a path (T, 2) and particles (N, 4) with the loop closures between key scans of this path."""
+        pairs = select_shown_closures(self.closures[: self.recognized], self.closures[self.recognized :])
+        return Frame(path, particles, path[pairs[pairs[:, 1] < len(path)]].reshape(-1, 4))
 
     def is_due(self, keys: int) -> bool:
         """Return whether the key scan of this number, from 1, is to be a moment."""
@@ -262,9 +262,7 @@ class PastReader:
         self.replica.replace(self._tiles)
         moment = history.moments[index]
         path = history.path(index)
-        pairs = history.shown_closures
-        ends = path[pairs[pairs[:, 1] < len(path)]].reshape(-1, 4)
-        return moment, Frame(path, moment.particles, ends)
+        return moment, history.make_frame(path, moment.particles)
 
 
 def round_scan(ends: FloatArray | Float32Array) -> NDArray[np.int16]:

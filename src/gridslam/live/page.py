@@ -10,9 +10,9 @@ from pathlib import Path
 from typing import Any, TypeVar, final
 
 from gridslam.errors import InputError
-from gridslam.live.monitor import FilterMonitor, LocalizationMonitor, MappingMonitor
 from gridslam.live.observer import LiveObserver, Snapshot
 from gridslam.live.options import LiveOptions
+from gridslam.live.recorder import RunRecorder
 from gridslam.live.replay import Replay
 from gridslam.live.run import LiveRun
 from gridslam.live.server import PageServer
@@ -40,6 +40,8 @@ class LivePage:
         Maximum range of the filter; farther beams are not displayed.
     known : OccupancyGrid, optional
         The known map of a filter that localizes.
+    keeps_moments : bool
+        Whether the history of the observer's recorder gets moments, to be written to `history.npz`.
 
     Attributes
     ----------
@@ -54,14 +56,15 @@ class LivePage:
         *,
         range_max_m: float = math.inf,
         known: OccupancyGrid | None = None,
+        keeps_moments: bool = False,
     ) -> None:
         """Create the page without serving it."""
         options = options or LiveOptions()
-        self._run = LiveRun(title, range_max_m, known)
+        self._run = LiveRun(title, known)
         self._server = PageServer(self._run, options)
         self._last_stage = "final refinement" if known is None else "writing"
-        monitor: FilterMonitor = MappingMonitor() if known is None else LocalizationMonitor(known)
-        self.observer = LiveObserver(self._post, monitor, options.speed)
+        recorder = RunRecorder(range_max_m, keeps_moments=keeps_moments)
+        self.observer = LiveObserver(self._post, recorder, options.speed)
         self._run.observer = self.observer
 
     def __enter__(self) -> LivePage:
@@ -98,7 +101,6 @@ class LivePage:
         The stopwatch does not count the waiting time.
         """
         self._server.call(self._run.reset)
-        self.observer.reset()
         return self.observer.pace(source, stopwatch)
 
     def show_messages(self, messages: Sequence[Mapping[str, Any]]) -> None:

@@ -2,25 +2,21 @@
 
 from __future__ import annotations
 
-import math
-from collections import deque
 from collections.abc import Mapping, Sequence
 from typing import Any, final
 
 import numpy as np
 
 from gridslam.errors import ArgumentError
-from gridslam.live.history import History
 from gridslam.live.observer import UNVIEWED_PERIOD_S, VIEWED_PERIOD_S, LiveObserver, Snapshot
 from gridslam.live.protocol import NO_POINTS
 from gridslam.live.replay import Replay, ReplayViewer
-from gridslam.live.scene import MOST_MESSAGES, Frame, Scene, SentState, finite_or_none, make_run_info
+from gridslam.live.scene import MOST_MESSAGES, NO_SERIES, Frame, Scene, SentState, make_run_info
 from gridslam.live.tiles import TileReplica
-from gridslam.types import FloatArray, LaserScan, OccupancyGrid
+from gridslam.types import FloatArray, OccupancyGrid
 
 _LIVE_SLAM = "map", "path", "particles", "scan", "closures", "n_eff", "latency"
 _LIVE_LOCALIZATION = "map", "path", "particles", "scan", "n_eff", "latency", "lost_probability"
-_RATE_SNAPSHOTS = 12
 
 
 @final
@@ -31,8 +27,6 @@ class LiveRun:
     ----------
     title : str
         Title of the page.
-    range_max_m : float, m
-        Beams of this range or more are not displayed.
     known : OccupancyGrid, optional
         The known map of a localization.
 
@@ -46,13 +40,12 @@ class LiveRun:
         Who looks on.
     """
 
-    def __init__(self, title: str, range_max_m: float = math.inf, known: OccupancyGrid | None = None) -> None:
+    def __init__(self, title: str, known: OccupancyGrid | None = None) -> None:
         """Start before the first snapshot."""
         self.observer: LiveObserver
         self.replay: Replay | None = None
         self.viewers: set[LiveViewer] = set()
         self._title = title
-        self._range_max_m = range_max_m
         self._known = known
         self._messages: Sequence[Mapping[str, Any]] = ()
         self._state: tuple[str, str] | None = None  # of a node: name and text
@@ -69,24 +62,19 @@ class LiveRun:
         self._status: dict[str, Any] = {"keys": 0, "scans": 0, "particles": 0}
         self._frame = Frame()
         self._scan = NO_POINTS
-        self._history = History()
-        self._rate_window: deque[tuple[float, int, float]] = deque(maxlen=_RATE_SNAPSHOTS)
-        self._last_scan: LaserScan | None = None
+        self._series = NO_SERIES
 
     def apply(self, snapshot: Snapshot) -> None:
         """Apply a snapshot."""
-        view = snapshot.view
         if self._stage == "waiting":
-            self._run_info = {**self._run_info, "resolution_m": view.resolution_m}
             self._stage = "running"
-        if view.changes is not None:
-            self._replica.apply(view.changes)
-        self._history = snapshot.history
-        self._frame = view.make_frame()
-        if snapshot.scan is not None and snapshot.scan is not self._last_scan:
-            self._last_scan = snapshot.scan
-            self._scan = snapshot.scan.beams(0.05, self._range_max_m).ends.astype(np.float32)
-        self._update_status(snapshot)
+        if self._known is None:
+            self._run_info = {**self._run_info, "resolution_m": snapshot.resolution_m}
+            self._replica = snapshot.replica
+        self._status = snapshot.status
+        self._frame = snapshot.frame
+        self._scan = snapshot.scan
+        self._series = snapshot.series
 
     def finish(self, grid: OccupancyGrid, poses: FloatArray, closures: FloatArray) -> None:
         """Show the final result: the map, poses (T, 3) of the key scans, and ends (C, 4) of the loop closures, m."""
@@ -128,8 +116,8 @@ class LiveRun:
         """Return the current scene."""
         stage, text = self._find_stage()
         status = {**self._status, "stage": stage, "state": text}
-        series = self._history.series[: self._status["keys"]]
-        return Scene(self._run_info, status, self._replica, self._frame, series, self._scan, messages=self._messages)
+        scene = Scene(self._run_info, status, self._replica, self._frame, self._series, self._scan)
+        return scene._replace(messages=self._messages)
 
     def _find_stage(self) -> tuple[str, str]:
         """Return the name of the stage, and a node's own words for it."""
@@ -140,26 +128,6 @@ class LiveRun:
         if self._stage == "running" and self._status.get("lost"):
             return ("looking" if self._status.get("looking") else "lost"), ""
         return self._stage, ""
-
-    def _update_status(self, snapshot: Snapshot) -> None:
-        report = snapshot.report
-        stamp_s = report.stamp_ns * 1e-9
-        first_s = 1e-9 * self._history.stamps_ns[0] if snapshot.keys else stamp_s
-        self._rate_window.append((snapshot.taken_s, snapshot.scans, stamp_s))
-        wall_s, scans, log_s = (b - a for a, b in zip(self._rate_window[0], self._rate_window[-1], strict=True))
-        n_eff = finite_or_none(float(self._history.series[snapshot.keys - 1, 1])) if snapshot.keys else None
-        self._status = {
-            "scans": snapshot.scans,
-            "keys": snapshot.keys,
-            "time_s": stamp_s - first_s,
-            "pose": report.pose.tolist(),
-            "covariance": report.covariance.tolist(),
-            "lost": bool(report.lost),
-            "n_eff": n_eff,
-            "progress": finite_or_none(snapshot.progress),
-            "real_time_factor": log_s / wall_s if wall_s > 0 and scans else None,
-            **snapshot.view.status,
-        }
 
 
 @final

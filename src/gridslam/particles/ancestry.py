@@ -254,7 +254,8 @@ class Ancestry:
         past = np.empty((len(places), self.steps, self._width))
         past[:, : len(trunk)] = trunk
         for k in range(len(self._levels) - 1, -1, -1):
-            poses, parents, _ = self._levels[k]
+            poses, parents, direct = self._levels[k]
             past[:, len(trunk) + k] = poses.take(places, axis=0)
-            places = parents.take(places)
+            if not direct:  # else each is its own parent's place
+                places = parents.take(places)
         return past

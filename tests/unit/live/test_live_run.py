@@ -12,8 +12,8 @@ import pytest
 from gridslam.config import build, override
 from gridslam.errors import ArgumentError
 from gridslam.live.history import CORRECTED
-from gridslam.live.monitor import MappingMonitor
 from gridslam.live.observer import LiveObserver
+from gridslam.live.recorder import RunRecorder
 from gridslam.live.run import LiveRun
 from gridslam.pipeline import run
 from support.loops import PROVOKED, loop_drive
@@ -31,8 +31,8 @@ class ObservedRun:
     """A run that is looked at without a server, every scan or as rarely as `every` says."""
 
     def __init__(self, every: int = 1) -> None:
-        self.live = LiveRun("loop", 30.0)
-        self.observer = self.live.observer = LiveObserver(self.post, MappingMonitor())
+        self.live = LiveRun("loop")
+        self.observer = self.live.observer = LiveObserver(self.post, RunRecorder(30.0))
         self.every, self.scans, self.posted, self.held = every, 0, 0, []
         self.check = lambda state: None
 
