@@ -95,8 +95,6 @@ def test_a_taken_port_is_bad_usage_and_nothing_is_written(call, log, tmp_path):
         (["--live-port", "0"], "--live-port needs --live"),
         (["--live-host", "0.0.0.0"], "--live-host needs --live"),
         (["--open"], "--open needs --live"),
-        (["--wait", "3"], "--wait needs --live"),
-        (["--live", "--wait", "-3"], "--wait: expected a time >= 0 s"),
         (["--live", "--live-speed", "0"], "--live-speed: expected a number > 0"),
         (["--live", "--live-port", "70000"], "--live-port: expected a number from 0 to 65535"),
     ],

@@ -59,7 +59,7 @@ class Viewers(NamedTuple):
 
     def wait(self, timeout_s: float) -> None:
         """Wait this long for a viewer of the page; without one run at full speed."""
-        if self.page is not None and timeout_s > 0:
+        if self.page is not None:
             warn(f"open the page to begin; without it the run begins in {timeout_s:.0f} s")
             if not self.page.wait_for_viewer(timeout_s):
                 self.page.observer.speed = None
@@ -122,7 +122,6 @@ def open_viewers(
     with serve_page(LivePage(title, live, range_max_m=range_max_m, known=known, keeps_moments=has_history)) as page:
         viewers = Viewers(page, page.observer.recorder if has_history else None, messages)
         announce(page.url, live)
-        viewers.wait(live.wait_s or 0.0)
         yield viewers
         if page.viewers:
             warn("the page stays open while it is looked at; Ctrl-C ends it")

@@ -1,4 +1,4 @@
-"""The viewers' side of a run: the state accumulated from its snapshots."""
+"""The viewers' side of a run: what its page shows."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from typing import Any, final
 import numpy as np
 
 from gridslam.errors import ArgumentError
-from gridslam.live.observer import UNVIEWED_PERIOD_S, VIEWED_PERIOD_S, LiveObserver, Snapshot
+from gridslam.live.observer import UNVIEWED_PERIOD_S, VIEWED_PERIOD_S, LiveObserver
 from gridslam.live.protocol import NO_POINTS
 from gridslam.live.replay import Replay, ReplayViewer
 from gridslam.live.scene import MOST_MESSAGES, NO_SERIES, Frame, Scene, SentState, make_run_info
@@ -21,7 +21,7 @@ _LIVE_LOCALIZATION = "map", "path", "particles", "scan", "n_eff", "latency", "lo
 
 @final
 class LiveRun:
-    """Content of the page of a run; used by the server's thread only.
+    """Content of the page of a run: the filter's thread shows scenes, the server's thread sends them to the viewers.
 
     Parameters
     ----------
@@ -33,71 +33,54 @@ class LiveRun:
     Attributes
     ----------
     observer : LiveObserver
-        Takes the snapshots; set before there are viewers.
+        Shows the run; set before there are viewers.
     replay : Replay or None
         What viewers see of the finished run, once there is one.
     viewers : set of LiveViewer
         Who looks on.
+    stage : str
+        "waiting", "running", "final refinement", "writing" or "finished".
+    state : (str, str) or None
+        The state of a node, by its name and in words.
+    messages : sequence of dict
+        The messages so far, the newest first (`gridslam.messages.Messages.to_list`).
     """
 
     def __init__(self, title: str, known: OccupancyGrid | None = None) -> None:
-        """Start before the first snapshot."""
+        """Start before the first scan."""
         self.observer: LiveObserver
         self.replay: Replay | None = None
         self.viewers: set[LiveViewer] = set()
+        self.state: tuple[str, str] | None = None
+        self.messages: Sequence[Mapping[str, Any]] = ()
         self._title = title
         self._known = known
-        self._messages: Sequence[Mapping[str, Any]] = ()
-        self._state: tuple[str, str] | None = None  # of a node: name and text
         self.reset()
 
     def reset(self) -> None:
-        """Start before the first snapshot of a session, with an empty map or the known one."""
-        if self._known is None:
-            self._run_info = make_run_info(self._title, "live", _LIVE_SLAM)
+        """Start before the first scan of a session, with an empty map or the known one."""
+        known = self._known
+        if known is None:
+            run_info = make_run_info(self._title, "live", _LIVE_SLAM)
         else:
-            self._run_info = make_run_info(self._title, "live", _LIVE_LOCALIZATION, "update", self._known)
-        self._replica = TileReplica() if self._known is None else TileReplica.of(self._known)
-        self._stage = "waiting"
-        self._status: dict[str, Any] = {"keys": 0, "scans": 0, "particles": 0}
-        self._frame = Frame()
-        self._scan = NO_POINTS
-        self._series = NO_SERIES
+            run_info = make_run_info(self._title, "live", _LIVE_LOCALIZATION, "update", known)
+        replica = TileReplica() if known is None else TileReplica.of(known)
+        self._scene = Scene(run_info, {"keys": 0, "scans": 0, "particles": 0}, replica, Frame(), NO_SERIES)
+        self.stage = "waiting"
 
-    def apply(self, snapshot: Snapshot) -> None:
-        """Apply a snapshot."""
-        if self._stage == "waiting":
-            self._stage = "running"
-        if self._known is None:
-            self._run_info = {**self._run_info, "resolution_m": snapshot.resolution_m}
-            self._replica = snapshot.replica
-        self._status = snapshot.status
-        self._frame = snapshot.frame
-        self._scan = snapshot.scan
-        self._series = snapshot.series
+    def show(self, scene: Scene) -> None:
+        """Show a scene of the observer."""
+        before = self._scene
+        replica = scene.replica if self._known is None else before.replica
+        self._scene = scene._replace(run_info={**before.run_info, **scene.run_info}, replica=replica)
+        if self.stage == "waiting":
+            self.stage = "running"
 
     def finish(self, grid: OccupancyGrid, poses: FloatArray, closures: FloatArray) -> None:
         """Show the final result: the map, poses (T, 3) of the key scans, and ends (C, 4) of the loop closures, m."""
-        self._replica = TileReplica.of(grid)
-        self._frame = Frame(poses[:, :2].astype(np.float32), closures=closures.astype(np.float32))
-        self._scan = NO_POINTS
-        self._stage = "writing"
-
-    def set_stage(self, stage: str) -> None:
-        """Go over to another stage: "running", "final refinement", "writing" or "finished"."""
-        self._stage = stage
-
-    def show_messages(self, messages: Sequence[Mapping[str, Any]]) -> None:
-        """Show these messages, the newest first, instead of those before (`gridslam.messages.Messages.to_list`)."""
-        self._messages = messages[:MOST_MESSAGES]
-
-    def show_state(self, name: str, text: str) -> None:
-        """Show the state of a node, by its name and in words, until the next one."""
-        self._state = name, text
-
-    def begin_replay(self, replay: Replay) -> None:
-        """Let each viewer look through the finished run."""
-        self.replay = replay
+        frame = Frame(poses[:, :2].astype(np.float32), closures=closures.astype(np.float32))
+        self._scene = self._scene._replace(replica=TileReplica.of(grid), frame=frame, scan=NO_POINTS)
+        self.stage = "writing"
 
     def add_viewer(self) -> LiveViewer:
         """Add a viewer."""
@@ -114,20 +97,20 @@ class LiveRun:
 
     def make_scene(self) -> Scene:
         """Return the current scene."""
-        stage, text = self._find_stage()
-        status = {**self._status, "stage": stage, "state": text}
-        scene = Scene(self._run_info, status, self._replica, self._frame, self._series, self._scan)
-        return scene._replace(messages=self._messages)
+        scene = self._scene
+        stage, text = self._find_stage(scene.status)
+        status = {**scene.status, "stage": stage, "state": text}
+        return scene._replace(status=status, messages=self.messages[:MOST_MESSAGES])
 
-    def _find_stage(self) -> tuple[str, str]:
+    def _find_stage(self, status: Mapping[str, Any]) -> tuple[str, str]:
         """Return the name of the stage, and a node's own words for it."""
-        if self._stage not in ("waiting", "running"):
-            return self._stage, ""
-        if self._state is not None:
-            return self._state
-        if self._stage == "running" and self._status.get("lost"):
-            return ("looking" if self._status.get("looking") else "lost"), ""
-        return self._stage, ""
+        if self.stage not in ("waiting", "running"):
+            return self.stage, ""
+        if self.state is not None:
+            return self.state
+        if self.stage == "running" and status.get("lost"):
+            return ("looking" if status.get("looking") else "lost"), ""
+        return self.stage, ""
 
 
 @final

@@ -59,10 +59,10 @@ class Viewer(Protocol):
 
 
 class PageContent(Protocol):
-    """Content of the page; used by the server's thread only."""
+    """Content of the page."""
 
     def add_viewer(self) -> Viewer:
-        """Add a viewer."""
+        """Add a viewer; called in the server's thread."""
         ...
 
 
@@ -73,7 +73,7 @@ class PageServer:
     Parameters
     ----------
     content : PageContent
-        Content of the page; from now on only this server's thread may use it, see `call`.
+        Content of the page; its viewers are used by this server's thread.
     options : LiveOptions
         Address of the page.
 
@@ -102,7 +102,6 @@ class PageServer:
             timeout_graceful_shutdown=1,
         )
         self._server = uvicorn.Server(config)
-        self._loop: asyncio.AbstractEventLoop | None = None
         self._running = threading.Event()
         self._thread = threading.Thread(target=self._serve, name="gridslam-live", daemon=True)
         self._socket: socket.socket | None = None
@@ -129,15 +128,6 @@ class PageServer:
             name = socket.gethostname()
         return f"http://{f'[{name}]' if ':' in name else name}:{port}/"
 
-    def call(self, function: Callable[..., object], *arguments: object) -> bool:
-        """Schedule a call in the server's thread; thread-safe. Returns False if the server has stopped."""
-        try:
-            assert self._loop is not None
-            self._loop.call_soon_threadsafe(function, *arguments)
-        except RuntimeError:  # the loop is closed
-            return False
-        return True
-
     def _open_socket(self) -> socket.socket:
         host = self._options.host
         port = self._options.port
@@ -151,8 +141,7 @@ class PageServer:
 
     def _serve(self) -> None:
         async def serve() -> None:
-            self._loop = asyncio.get_running_loop()
-            self._loop.set_exception_handler(_ignore_connections)
+            asyncio.get_running_loop().set_exception_handler(_ignore_connections)
             self._running.set()
             await self._server.serve([self._socket] if self._socket else None)
 

@@ -33,14 +33,10 @@ class ObservedLocalization:
 
     def __init__(self, grid):
         self.live, self.client, self.checked = LiveRun("flat", grid), PageClient(), 0
-        self.observer = self.live.observer = LiveObserver(self.post, RunRecorder(30.0))
+        self.observer = self.live.observer = LiveObserver(self.live.show, RunRecorder(30.0))
         self.viewer = self.live.add_viewer()
         self.observer.period_s = 0.0
         self.client.catch_up(self.viewer)
-
-    def post(self, snapshot):
-        self.live.apply(snapshot)
-        self.observer.release()
 
     def go(self, log, grid, check=lambda report, state: None):
         def seen(report, state, seconds):

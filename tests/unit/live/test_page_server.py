@@ -64,7 +64,7 @@ def test_several_viewers_get_the_whole_map_whenever_they_come(drive):
         assert client.status["stage"] == "waiting"
         state = mapped(page, drive)
         grid = state.maps.occupancy(state.best)
-        receive_until(socket, client, lambda: client.sees(grid))
+        receive_until(socket, client, lambda: client.sees(grid) and client.status["stage"] == "final refinement")
         with viewing(page.url) as (other_socket, other):
             receive_until(other_socket, other, lambda: other.sees(grid))
             assert other.status["scans"] == 120
