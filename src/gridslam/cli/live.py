@@ -3,17 +3,16 @@
 from __future__ import annotations
 
 import threading
-from collections.abc import Callable, Iterator
-from contextlib import AbstractContextManager, ExitStack, contextmanager
+from collections.abc import Iterator
+from contextlib import contextmanager
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple, TypeVar
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import click
 import numpy as np
 
 from gridslam.cli.output import warn
-from gridslam.errors import OutputError
 from gridslam.live.options import LiveOptions
 from gridslam.messages import Level, Messages
 from gridslam.pipeline import describe_error, isolate
@@ -29,8 +28,6 @@ if TYPE_CHECKING:
     from gridslam.ros.node.messages import Diagnostics
     from gridslam.types import OccupancyGrid
 
-_Page = TypeVar("_Page")
-
 
 class Viewers(NamedTuple):
     """Page and history of a run, None where not wanted, and its messages."""
@@ -44,10 +41,11 @@ class Viewers(NamedTuple):
         page, history = self.page, self.history
         if page is not None:
             page.set_progress(lambda: source.statistics.share_read)
-            observers = [isolate(page.observer, _warn_once("the page"))]
+            observers = [isolate(page.observer, partial(self.messages, "the page failed"))]
             return {"observers": observers, "gate": partial(page.pace, stopwatch=watch)}
         if history is not None:
-            return {"observers": [isolate(history, _warn_once("the history"))], "gate": history.follow}
+            observers = [isolate(history, partial(self.messages, "the history failed"))]
+            return {"observers": observers, "gate": history.follow}
         return {"observers": [], "gate": iter}
 
     def write_history(self, folder: OutputFolder) -> None:
@@ -84,19 +82,6 @@ class Viewers(NamedTuple):
 NOBODY = Viewers(None, None, Messages(lambda level, text: warn(text)))
 
 
-def _warn_once(viewer: str) -> Callable[[str], None]:
-    """Return a function that reports the first exception of a viewer."""
-    is_reported = False
-
-    def report(problem: str) -> None:
-        nonlocal is_reported
-        if not is_reported:
-            warn(f"{viewer} failed: {problem}")
-        is_reported = True
-
-    return report
-
-
 @contextmanager
 def open_viewers(
     live: LiveOptions | None,
@@ -119,7 +104,7 @@ def open_viewers(
         return
     from gridslam.live.page import LivePage
 
-    with serve_page(LivePage(title, live, range_max_m=range_max_m, known=known, keeps_moments=has_history)) as page:
+    with LivePage(title, live, range_max_m=range_max_m, known=known, keeps_moments=has_history) as page:
         viewers = Viewers(page, page.observer.recorder if has_history else None, messages)
         announce(page.url, live)
         yield viewers
@@ -132,23 +117,12 @@ def open_viewers(
 
 
 @contextmanager
-def serve_page(page: AbstractContextManager[_Page]) -> Iterator[_Page]:
-    """Enter a page; a port that is taken is bad usage."""
-    with ExitStack() as stack:
-        try:
-            entered = stack.enter_context(page)
-        except OutputError as error:
-            raise click.ClickException(str(error)) from None
-        yield entered
-
-
-@contextmanager
 def node_page(live: LiveOptions, title: str, core: NodeCore, known: OccupancyGrid | None) -> Iterator[None]:
     """Serve the page of a node that is not started yet, until it has ended."""
     from gridslam.live.page import LivePage
 
     page = LivePage(title, live, range_max_m=core.configuration.range_max_m, known=known)
-    with serve_page(page):
+    with page:
 
         def on_diagnostics(diagnostics: Diagnostics) -> None:
             page.show_state(diagnostics.state, diagnostics.values["state"])
@@ -180,7 +154,7 @@ def view(out: Path, live: LiveOptions) -> None:
     from gridslam.live.server import PageServer
 
     replay = Replay(out, live.speed or 10.0)
-    with serve_page(PageServer(replay, live)) as page:
+    with PageServer(replay, live) as page:
         for message in replay.found.messages[: replay.found.grid is None]:
             warn(f"{out}: {message['text']}")
         click.echo(f"{out}: open {page.url} (Ctrl-C ends)")

@@ -68,7 +68,7 @@ class LivePage:
         self._run.observer = self.observer
 
     def __enter__(self) -> LivePage:
-        """Serve; raises OutputError if the port is in use."""
+        """Serve; raises ConfigurationError if the port is in use."""
         self._server.__enter__()
         return self
 

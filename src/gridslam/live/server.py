@@ -23,7 +23,7 @@ from starlette.routing import Mount, WebSocketRoute
 from starlette.staticfiles import StaticFiles
 from starlette.websockets import WebSocket, WebSocketDisconnect
 
-from gridslam.errors import ArgumentError, OutputError
+from gridslam.errors import ArgumentError, ConfigurationError
 from gridslam.live.options import LiveOptions
 from gridslam.live.protocol import encode
 
@@ -79,7 +79,7 @@ class PageServer:
 
     Raises
     ------
-    OutputError
+    ConfigurationError
         On entering: the port is in use, or the address is not one of this machine.
     """
 
@@ -122,7 +122,7 @@ class PageServer:
     def url(self) -> str:
         """Address of the page."""
         if self._socket is None:
-            raise OutputError("the page is not served")
+            raise ConfigurationError("the page is not served")
         name, port = self._socket.getsockname()[:2]
         if name in ("0.0.0.0", "::"):
             name = socket.gethostname()
@@ -136,8 +136,10 @@ class PageServer:
             return socket.create_server((host, port), family=family)
         except OSError as error:
             if error.errno == errno.EADDRINUSE:
-                raise OutputError(f"port {port} of {host} is taken; --live-port 0 takes one that is free") from None
-            raise OutputError(f"cannot listen at {host}, port {port}: {error.strerror or error}") from None
+                problem = f"port {port} of {host} is taken; --live-port 0 takes one that is free"
+            else:
+                problem = f"cannot listen at {host}, port {port}: {error.strerror or error}"
+            raise ConfigurationError(problem) from None
 
     def _serve(self) -> None:
         async def serve() -> None:
