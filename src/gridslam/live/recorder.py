@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import math
+from array import array
 from collections.abc import Iterable, Iterator
 from typing import TYPE_CHECKING, Any, TypeVar, final
 
 import numpy as np
 
 from gridslam.geometry.se2 import between, compose
-from gridslam.live.history import History, Moment, RowBuffer, compress_tiles, round_scan
+from gridslam.live.history import History, Moment, compress_tiles, round_scan
 from gridslam.live.protocol import NO_POINTS, Float32Array
 from gridslam.live.scene import Frame, count_common
 from gridslam.live.tiles import TileChangeDetector, TileReplica
@@ -86,7 +87,7 @@ class RunRecorder:
         self.replica = TileReplica()
         self.scans = 0
         self._scan: LaserScan | None = None
-        self._positions = RowBuffer(2)  # of a localization
+        self._positions = array("f")  # x m, y m of a localization, NaN where it was lost
         self._path = NO_POINTS  # of the last moment
         self._number = 0  # of the map's last change by then
         self._detector = TileChangeDetector()
@@ -108,7 +109,7 @@ class RunRecorder:
             return
         self.history.note_report(report, self.scans, seconds)
         if not isinstance(report, StepReport):
-            self._positions.append(np.full((1, 2), np.nan) if report.lost else report.pose[None, :2])
+            self._positions.extend((math.nan, math.nan) if report.lost else report.pose[:2].tolist())
         elif report.corrected:
             self._detector.forget()
         if self._keeps_moments and self.history.is_due(len(self.history.stamps_ns)):
@@ -131,7 +132,7 @@ class RunRecorder:
             if isinstance(report, StepReport) and report.skipped:
                 moved = report.key_from_base
         else:
-            path = self._positions.rows
+            path = np.frombuffer(self._positions.tobytes(), np.float32).reshape(-1, 2)
             moved = between(state.estimate.pose, report.pose)
         cloud = np.column_stack([compose(state.poses[chosen], moved), shares]).astype(np.float32)
         return history.make_frame(path, cloud)

@@ -130,12 +130,8 @@ class NodeCore:
         self._autosave: LiveAutosave | None = None
         if files is not None and files.autosave is not None:
             self._autosave = LiveAutosave(files, self.messages.report)
-            self.add_timer(files.autosave_period_s, lambda: self._queue.post(self._save_now))
+            self._timers.append(("autosave", files.autosave_period_s, lambda: self._queue.post(self._save_now)))
         self._threads = [threading.Thread(target=self._run_filter, name="gridslam-filter", daemon=True)]
-
-    def add_timer(self, period_s: float, callback: Callable[[], None]) -> None:
-        """Add a call every `period_s` seconds before `start`, in a thread of its own."""
-        self._timers.append(("timer", period_s, callback))
 
     def add_observer(
         self, observer: Observer, wrap_source: SourceWrapper = iter, on_diagnostics: DiagnosticsCallback | None = None
