@@ -40,7 +40,7 @@ class Viewers(NamedTuple):
         """Return the arguments `observers` and `gate` of a run on a log: the page controls when scans are processed."""
         page, history = self.page, self.history
         if page is not None:
-            page.set_progress(lambda: source.statistics.share_read)
+            page.observer.progress = lambda: source.statistics.share_read
             observers = [isolate(page.observer, partial(self.messages, "the page failed"))]
             return {"observers": observers, "gate": partial(page.pace, stopwatch=watch)}
         if history is not None:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from pathlib import Path
 from typing import Any, TypeVar, final
@@ -85,10 +85,6 @@ class LivePage:
     def viewers(self) -> int:
         """Number of viewers."""
         return len(self._run.viewers)
-
-    def set_progress(self, progress: Callable[[], float]) -> None:
-        """Show progress on the page: `progress` returns the fraction of the source that was read, in [0, 1]."""
-        self.observer.progress = progress
 
     def pace(self, source: Iterable[_Measured], stopwatch: Stopwatch | None = None) -> Iterator[_Measured]:
         """Do as `follow`, and show then that the run goes over to its next stage."""

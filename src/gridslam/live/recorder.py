@@ -16,7 +16,7 @@ from gridslam.live.scene import Frame, count_common
 from gridslam.live.tiles import TileChangeDetector, TileReplica
 from gridslam.slam.grid_fastslam.state import GridFastSlamState
 from gridslam.slam.loop_closure.constraints import ConstraintSource
-from gridslam.types import IntArray, LaserScan, Odometry, StepReport
+from gridslam.types import LaserScan, Odometry, StepReport
 from gridslam.viz.cloud import MOST_SHOWN, select_representatives
 
 if TYPE_CHECKING:
@@ -25,33 +25,6 @@ if TYPE_CHECKING:
 _Measured = TypeVar("_Measured", bound="tuple[Odometry | None, LaserScan]")
 _MOST_PARTICLES = 300  # of a moment
 _CLOSEST_M = 0.05
-
-
-@final
-class ClosureCollector:
-    """Collects the loop closures of a session."""
-
-    def __init__(self) -> None:
-        """Start without closures."""
-        self._recognized: list[tuple[int, int]] = []
-        self._tracked: list[tuple[int, int]] = []  # of the first `_seen` constraints
-        self._seen = 0
-
-    def add(self, recognized: Iterable[tuple[int, int]]) -> None:
-        """Add closures recognized at a scan: the older and the later key scan of each."""
-        self._recognized += recognized
-
-    def find(self, state: GridFastSlamState) -> tuple[IntArray, int]:
-        """Return the loop closures (C, 2) so far, the older key scan first, and how many are recognized: the first."""
-        recognized = np.array(self._recognized, np.int64).reshape(-1, 2)
-        constraints = [] if state.closure_state is None else state.closure_state.graph.constraints
-        if len(constraints) < self._seen:
-            self._seen = 0
-            self._tracked = []
-        new = constraints[self._seen :]
-        self._tracked += [constraint.pair for constraint in new if constraint.source is ConstraintSource.TRACKED]
-        self._seen = len(constraints)
-        return np.concatenate([recognized, np.array(self._tracked, np.int64).reshape(-1, 2)]), len(recognized)
 
 
 @final
@@ -91,7 +64,9 @@ class RunRecorder:
         self._path = NO_POINTS  # of the last moment
         self._number = 0  # of the map's last change by then
         self._detector = TileChangeDetector()
-        self._collector = ClosureCollector()
+        self._recognized: list[tuple[int, int]] = []  # loop closures
+        self._tracked: list[tuple[int, int]] = []  # of the first `_seen` constraints
+        self._seen = 0
 
     def follow(self, source: Iterable[_Measured]) -> Iterator[_Measured]:
         """Start a new session, yield its measurements, and note their scans."""
@@ -104,7 +79,7 @@ class RunRecorder:
         """Record a step, and a moment if one is due."""
         self.scans += 1
         if isinstance(report, StepReport):
-            self._collector.add(report.closures)
+            self._recognized += report.closures
         if report.skipped is not None:
             return
         self.history.note_report(report, self.scans, seconds)
@@ -127,7 +102,7 @@ class RunRecorder:
         moved = np.zeros(3)  # since the last key scan
         if isinstance(state, GridFastSlamState):
             self.replica.apply(self._detector.find_changes(state.maps, state.best))
-            history.closures, history.recognized = self._collector.find(state)
+            self._find_closures(state)
             path = state.ancestry.trajectory(state.best)[:, :2].astype(np.float32)
             if isinstance(report, StepReport) and report.skipped:
                 moved = report.key_from_base
@@ -136,6 +111,18 @@ class RunRecorder:
             moved = between(state.estimate.pose, report.pose)
         cloud = np.column_stack([compose(state.poses[chosen], moved), shares]).astype(np.float32)
         return history.make_frame(path, cloud)
+
+    def _find_closures(self, state: GridFastSlamState) -> None:
+        """Note the loop closures so far in the history: those recognized, then those tracked."""
+        constraints = [] if state.closure_state is None else state.closure_state.graph.constraints
+        if len(constraints) < self._seen:
+            self._seen = 0
+            self._tracked = []
+        new = constraints[self._seen :]
+        self._tracked += [constraint.pair for constraint in new if constraint.source is ConstraintSource.TRACKED]
+        self._seen = len(constraints)
+        self.history.closures = np.array(self._recognized + self._tracked, np.int64).reshape(-1, 2)
+        self.history.recognized = len(self._recognized)
 
     def scan_ends(self) -> Float32Array:
         """Return the end points (K, 2) of the last scan in the robot frame, m."""

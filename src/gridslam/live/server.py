@@ -121,8 +121,7 @@ class PageServer:
     @property
     def url(self) -> str:
         """Address of the page."""
-        if self._socket is None:
-            raise ConfigurationError("the page is not served")
+        assert self._socket is not None, "the page is not served"
         name, port = self._socket.getsockname()[:2]
         if name in ("0.0.0.0", "::"):
             name = socket.gethostname()

@@ -212,7 +212,7 @@ class StatePublisher:
             is_new = state != self._logged
             self._logged = state
         if is_new:
-            self._messages.report_state(state.level, state.text)
+            self._messages.report(state.level, state.text, is_state=True)
 
     def _find_state(self) -> NodeState:
         """Return the state of the node."""
