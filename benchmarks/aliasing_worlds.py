@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
+from functools import partial
 from itertools import pairwise
 from typing import NamedTuple
 
@@ -22,32 +23,10 @@ from passages import carve, tour
 
 _WALL_M = 0.15
 _LANE_M = 0.5  # furniture stays this far from the robot's way
+_Draw = Callable[[np.random.Generator], World]
 _Space = tuple[float, float, float, float]
 _Point = tuple[float, float]
 _Pieces = FloatArray  # (K, 5): x, y, width, depth in m, heading in rad
-
-
-def symmetric(rng: np.random.Generator) -> World:
-    """Draw a building that looks the same after a half or a quarter turn: a ring, a cross, or twin rings.
-
-    Every corner, arm or wing has its doubles, and no observation from one distinguishes it from them.
-    """
-    return SYMMETRIC[rng.integers(len(SYMMETRIC))](rng)
-
-
-def bare_corridors(rng: np.random.Generator) -> World:
-    """Draw long corridors without anything on their walls, 40 m and more, of one width.
-
-    Equal ones side by side, driven one after the other and never twice; a loop whose four corners are alike; or
-    dead-end alleys next to each other, into which the robot goes one after the other and in the end into the first
-    again.
-    """
-    return BARE_CORRIDORS[rng.integers(len(BARE_CORRIDORS))](rng)
-
-
-def equal_rooms(rng: np.random.Generator) -> World:
-    """Draw a building of equal rooms at equal distances on both sides of two corridors: one of `EQUAL_ROOMS`."""
-    return EQUAL_ROOMS[rng.integers(len(EQUAL_ROOMS))](rng)
 
 
 def _distinct(route: Sequence[tuple[float, float]]) -> FloatArray:
@@ -439,14 +418,13 @@ def _leaves_free(piece: list[float], lane: FloatArray) -> bool:
     return bool(clearance(furniture(*piece), lane).min() > _LANE_M)
 
 
-SYMMETRIC: tuple[Callable[[np.random.Generator], World], ...] = (ring, cross, twins)
-"""Floor plans of `symmetric`."""
-
-BARE_CORRIDORS: tuple[Callable[[np.random.Generator], World], ...] = (serpentine, bare_loop, alleys)
-"""Floor plans of `bare_corridors`."""
-
-EQUAL_ROOMS: tuple[Callable[[np.random.Generator], World], ...] = (facing_corridors, long_way_round)
-"""Floor plans of `equal_rooms`."""
+VARIANTS: Mapping[str, Sequence[_Draw]] = {
+    "equal_rooms": (facing_corridors, long_way_round),
+    "symmetric": (ring, cross, twins),
+    "bare_corridors": (serpentine, bare_loop, alleys),
+}
+"""Floor plans by kind: equal rooms along two corridors; buildings that look the same after a half or a quarter turn;
+corridors of 40 m and more, of one width, without anything on their walls."""
 
 
 def campus(rng: np.random.Generator, length_m: float = 2000.0) -> World:
@@ -541,10 +519,12 @@ def _corridor(
     return spaces, cabinets
 
 
-ALIASED: Mapping[str, Callable[[np.random.Generator], World]] = {
-    "equal_rooms": equal_rooms,
-    "symmetric": symmetric,
-    "bare_corridors": bare_corridors,
+def _draw(rng: np.random.Generator, plans: Sequence[_Draw]) -> World:
+    return plans[rng.integers(len(plans))](rng)
+
+
+ALIASED: Mapping[str, _Draw] = {
+    **{kind: partial(_draw, plans=plans) for kind, plans in VARIANTS.items()},
     "moved_furniture": moved_furniture,
     "campus": campus,
     "grounds": grounds,

@@ -57,10 +57,7 @@ def false_closures(
     edges: ArrayLike,
     measurements: ArrayLike,
     information: ArrayLike | None = None,
-    *,
-    tolerance_m: float = FALSE_CLOSURE_M,
-    tolerance_rad: float = FALSE_CLOSURE_RAD,
 ) -> NDArray[np.bool_]:
-    """Which closures (M,) are false: farther from the truth than `tolerance_m`, or turned more than `tolerance_rad`."""
+    """Which closures (M,) are false: farther from the truth than half a metre, or turned more than five degrees."""
     metres, radians = closure_errors(truth, edges, measurements, information)
-    return np.asarray((metres > tolerance_m) | (radians > tolerance_rad))
+    return np.asarray((metres > FALSE_CLOSURE_M) | (radians > FALSE_CLOSURE_RAD))

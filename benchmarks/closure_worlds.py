@@ -8,15 +8,12 @@ from typing import final
 
 import numpy as np
 
-from aliasing_worlds import BARE_CORRIDORS, EQUAL_ROOMS, SYMMETRIC, make_world
-from gridslam.errors import ArgumentError
+from aliasing_worlds import VARIANTS, make_world
 from gridslam.sim import LidarConfig, OdometryNoise, RobotConfig, SimulatedLog, World, simulate
-from gridslam.types import FloatArray
 
-DECEPTIVE = ("equal_rooms", "symmetric", "bare_corridors", "moved_furniture")
+DECEPTIVE = (*VARIANTS, "moved_furniture")
 
 _FAST = RobotConfig(v_max_m_s=0.8, turning_radius_m=0.7)
-_VARIANTS = {"equal_rooms": EQUAL_ROOMS, "symmetric": SYMMETRIC, "bare_corridors": BARE_CORRIDORS}
 
 
 @final
@@ -37,16 +34,24 @@ class Drive:
         return simulate(self.world, self.robot, self.odometry, self.lidar, rng)
 
 
+def course(kind: str, seed: int) -> Drive:
+    """One of the worlds made to deceive, the campus, the grounds, or a world of `gridslam.sim` with its defaults."""
+    if kind in DECEPTIVE:
+        return deceptive(kind, seed)
+    if kind in LARGE:
+        return LARGE[kind](seed)
+    world = make_world(kind, np.random.default_rng(seed))
+    return Drive(f"{kind} {seed}", world, RobotConfig(), OdometryNoise(), LidarConfig(), seed)
+
+
 def deceptive(kind: str, seed: int) -> Drive:
     """One of the worlds made to deceive; of the kinds that have variants, the seeds take these in turn.
 
     Odometry turns by 3 to 5 degrees in 100 m and is 2 % long or short. After 100 m that is some metres, no less than
     from one of the equal rooms or parallel corridors to the next.
     """
-    if kind not in DECEPTIVE:
-        raise ArgumentError("kind", f"one of {', '.join(DECEPTIVE)}", repr(kind))
     rng = np.random.default_rng(seed)
-    variants = _VARIANTS.get(kind)
+    variants = VARIANTS.get(kind)
     world = make_world(kind, rng) if variants is None else variants[seed % len(variants)](rng)
     odometry = _drifting(rng, math.radians(rng.uniform(3, 5)) / 100, alpha2=1e-5)
     return Drive(f"{kind} {seed}", world, RobotConfig(), odometry, LidarConfig(), seed)
@@ -77,6 +82,9 @@ def grounds(seed: int) -> Drive:
     return Drive(f"grounds {seed}", world, _FAST, odometry, lidar, seed)
 
 
+LARGE = {"campus": campus, "grounds": grounds}
+
+
 def _drifting(rng: np.random.Generator, bias_rad_per_m: float, alpha2: float) -> OdometryNoise:
     """Draw to which side odometry turns, and whether it is 2 % long or short."""
     side, longer = rng.choice([-1.0, 1.0], 2).tolist()
@@ -86,18 +94,3 @@ def _drifting(rng: np.random.Generator, bias_rad_per_m: float, alpha2: float) ->
         bias_rad_per_m=side * bias_rad_per_m,
         alpha2=alpha2,
     )
-
-
-def returns(poses: FloatArray, near_m: float = 1.0, apart_m: float = 30.0) -> float:
-    """Share of the way on which the robot is less than `near_m` from where it was `apart_m` of driving or more before.
-
-    Where it is 0, every closure is false; `poses` (N, 3) are the true ones.
-    """
-    driven = np.append(0.0, np.cumsum(np.hypot(*np.diff(poses[:, :2], axis=0).T)))
-    at = np.searchsorted(driven, np.arange(0.0, driven[-1], near_m / 2))
-    points, driven = poses[at, :2], driven[at]
-    back = [
-        bool((np.hypot(*(points[: np.searchsorted(driven, d - apart_m)] - p).T) < near_m).any())
-        for p, d in zip(points, driven, strict=True)
-    ]
-    return float(np.mean(back))

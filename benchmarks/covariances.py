@@ -10,24 +10,21 @@ covariances were set on the seeds 1 to 12.
 
 from __future__ import annotations
 
-import argparse
-import sys
 import zlib
 from collections.abc import Sequence
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-sys.path.insert(0, str(Path(__file__).parent))
 from aliasing_worlds import make_world
 from gridslam.config import Configuration, override
 from gridslam.evaluation import nees
 from gridslam.geometry.se2 import between
 from gridslam.io.measurement import Measurement
 from gridslam.sim import LidarConfig, OdometryNoise, RobotConfig, simulate
-from measure import write_document
-from simulated import map_drive
+from measure import make_parser, write_document
+from report import table
+from simulated import map_drive, thin
 
 WORLDS = {
     "random": ("random", 30.0),
@@ -40,10 +37,6 @@ WORLDS = {
     "sparse": ("random", 30.0),
 }
 """World and the laser's range by kind."""
-
-KEY_SCAN_M = 1.0
-KEY_SCAN_RAD = 0.5
-"""What lies between two scans of a sparse drive."""
 
 QUANTILE = 7.8147
 
@@ -58,18 +51,8 @@ def simulated(kind: str, seed: int) -> tuple[list[Measurement], np.ndarray]:
     truth = log.truth.poses
     if kind != "sparse":
         return measurements, truth
-    kept = thin(truth)
+    kept = thin(truth, 1.0, 0.5)
     return [measurements[k] for k in kept], truth[kept]
-
-
-def thin(poses: np.ndarray, metres: float = KEY_SCAN_M, radians: float = KEY_SCAN_RAD) -> list[int]:
-    """Places of poses (N, 3) each of which is so far from the one before."""
-    kept = [0]
-    for k in range(len(poses)):
-        dx, dy, turn = between(poses[kept[-1]], poses[k])
-        if np.hypot(dx, dy) >= metres or abs(turn) >= radians:
-            kept.append(k)
-    return kept
 
 
 def judge(kind: str, seed: int, configuration: Configuration | None = None) -> dict[str, Any]:
@@ -93,29 +76,22 @@ def judge(kind: str, seed: int, configuration: Configuration | None = None) -> d
 
 def main(arguments: Sequence[str] | None = None) -> None:
     """Print a row for each kind, and write all drives."""
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser = make_parser(__doc__)
     parser.add_argument("kinds", nargs="*", metavar="KIND", help=f"{', '.join(WORLDS)} [all of them]")
     parser.add_argument("--seeds", type=int, default=20, help="drives of each kind [20]")
     parser.add_argument("--first", type=int, default=101, help="first seed [101]")
-    parser.add_argument("--out", type=Path)
     parser.add_argument("--set", action="append", default=[], metavar="NAME=VALUE", help="of the simulated drives")
     given = parser.parse_args(arguments)
     configuration = override(Configuration(), *given.set)
     columns = "online_nees", "online_inside", "final_nees", "final_inside", "rmse_m"
-    table = ["| kind | " + " | ".join(columns) + " |", "| --- " * (len(columns) + 1) + "|"]
-    print(*table, sep="\n")
-    drives = []
+    rows, drives = [], []
     for kind in given.kinds or WORLDS:
         seeds = range(given.first, given.first + given.seeds)
-        of_kind = [judge(kind, seed, configuration) for seed in seeds]
-        drives += of_kind
-        means = [np.mean([drive[name] for drive in of_kind]) for name in columns]
-        table.append(f"| {kind} | " + " | ".join(f"{mean:.3g}" for mean in means) + " |")
-        print(table[-1], flush=True)
-    if given.out is not None:
-        how = f"simulated drives, seeds {given.first} to {given.first + given.seeds - 1}"
-        how += "".join(f", {assignment}" for assignment in given.set)
-        write_document(given.out, how, table=table, drives=drives)
+        drives += (of_kind := [judge(kind, seed, configuration) for seed in seeds])
+        rows.append([kind, *(f"{np.mean([drive[name] for drive in of_kind]):.3g}" for name in columns)])
+        print(*rows[-1], sep="  ", flush=True)
+    print(text := table(["kind", *columns], rows))
+    write_document(given.out, table=text.splitlines(), drives=drives)
 
 
 if __name__ == "__main__":

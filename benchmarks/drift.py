@@ -8,7 +8,6 @@ other, is compared with where the final trajectory has it; a true model has 95 o
 
 from __future__ import annotations
 
-import argparse
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -16,15 +15,13 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from gridslam import open_log
-from gridslam.config import Configuration, build
+from gridslam.config import Configuration
 from gridslam.geometry.se2 import between, compose
-from gridslam.observers import TrajectoryRecorder
-from gridslam.pipeline import run
-from gridslam.slam.full_slam.full_slam import full_slam
 from gridslam.slam.loop_closure.key_graph import KeyGraph, position_sigmas
 from gridslam.types import FloatArray
-from measure import write_document
+from measure import make_parser, write_document
 from report import table
+from simulated import map_drive
 
 _NEAR_M = 8.0
 _APART_M = 40.0
@@ -65,27 +62,20 @@ def judge(graph: KeyGraph, truth: FloatArray) -> Drift:
     return Drift(len(found), *(found < 2).mean(axis=0).tolist(), *np.sqrt(np.square(found).mean(axis=0)).tolist())
 
 
-def _map(log: Path) -> Drift:
-    config = Configuration()
-    recorder = TrajectoryRecorder()
-    state = run(list(open_log(log)), build(config), rng=np.random.default_rng(0), observers=[recorder])
-    full = full_slam(state, [recorder.tracked_scans()], config.mapper, config.loop_closure)
-    assert full.piece is not None
-    return judge(full.piece.graph, full.piece.poses)
-
-
 def main(arguments: Sequence[str] | None = None) -> list[list[Any]]:
     """Print the table of some logs."""
-    parser = argparse.ArgumentParser(description="How true the drift model is, by the loops of logs.")
+    parser = make_parser(__doc__)
     parser.add_argument("logs", type=Path, nargs="+", metavar="LOG")
-    parser.add_argument("--out", type=Path, help="write the figures here")
     given = parser.parse_args(arguments)
-    rows: list[list[Any]] = [[log.name, *_map(log)] for log in given.logs]
+    rows: list[list[Any]] = []
+    for log in given.logs:
+        piece = map_drive(open_log(log), Configuration(), 0)[1].piece
+        assert piece is not None
+        rows.append([log.name, *judge(piece.graph, piece.poses)])
     head = ["log", "loops", "position within 2 sigma", "heading within 2 sigma", "rms position", "rms heading"]
     print(table(head, rows))
-    if given.out is not None:
-        logs = {name: Drift(*figures)._asdict() for name, *figures in rows}
-        write_document(given.out, "python benchmarks/drift.py LOG ...", logs=logs)
+    logs = {name: Drift(*figures)._asdict() for name, *figures in rows}
+    write_document(given.out, logs=logs)
     return rows
 
 

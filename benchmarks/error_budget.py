@@ -15,18 +15,13 @@ beside the bound of the joint problem, which is what the noise of ranges and odo
 
 from __future__ import annotations
 
-import argparse
 import math
-import sys
 from collections.abc import Iterable, Sequence
-from pathlib import Path
 from typing import Any
 from unittest.mock import patch
 
 import numpy as np
 
-sys.path.insert(0, str(Path(__file__).parent))
-from covariances import thin
 from gridslam.config import Configuration, build
 from gridslam.evaluation import absolute_errors, relative_errors_by_distance
 from gridslam.geometry.se2 import adjoint, between, compose
@@ -41,8 +36,8 @@ from gridslam.slam.full_slam.surface_adjustment import LINE_REACH_M, select_pair
 from gridslam.slam.grid_fastslam.smoothed_pose import SmoothedPose
 from gridslam.tracking.tracker import Tracker
 from gridslam.types import FloatArray, Trajectory
-from measure import write_document
-from simulated import map_drive
+from measure import make_parser, write_document
+from simulated import map_drive, thin
 
 WORLDS = ("demo", "rooms", "loop", "hall", "random")
 NOISE_M = 0.01
@@ -118,22 +113,22 @@ def simulated_drive(world: str, seed: int, lidar: LidarConfig = LASERS["180 degr
     return simulate(drawn, RobotConfig(), OdometryNoise(), lidar, np.random.default_rng(seed))
 
 
-def judge(world: str, seed: int) -> dict[str, list[float]]:
-    """ATE (m, degrees) and RPE (m, degrees) of each stage of one drive."""
+def judge(world: str, seed: int, *, with_best: bool = True) -> dict[str, list[float]]:
+    """ATE (m, degrees) and RPE (m, degrees) of each stage of one drive; the best particle's takes a run of its own."""
     log = simulated_drive(world, seed)
     reports, full = map_drive(log.measurements, Configuration(), 0)
     with patch("gridslam.tracking.tracker.match_to_surfaces", lambda recent, own, found: found.pose):
         cells = track(log.measurements, Tracker())
-    with patch.object(SmoothedPose, "follow", lambda self, increment, motion, matched: SmoothedPose(matched)):
-        matches = online(log.measurements)
     stages = {
         "odometry": np.array([odometry.pose for odometry, _ in log.measurements if odometry is not None]),
         "tracker, cells": cells,
         "tracker": track(log.measurements, Tracker()),
-        "best particle": matches,
         "online": np.array([report.pose for report in reports]),
         "final": full.poses,
     }
+    if with_best:
+        with patch.object(SmoothedPose, "follow", lambda self, increment, motion, matched: SmoothedPose(matched)):
+            stages["best particle"] = online(log.measurements)
     found = {}
     for stage, poses in stages.items():
         found[stage] = score(poses, log.truth)[:4]
@@ -191,7 +186,7 @@ def judge_laser(name: str, world: str, seed: int) -> dict[str, list[float]]:
     log = simulated_drive(world, seed, lidar)
     measurements, truth = list(log.measurements), log.truth
     if "every metre" in name:
-        kept = thin(truth.poses)
+        kept = thin(truth.poses, 1.0, 0.5)
         measurements = [measurements[k] for k in kept]
         truth = Trajectory(truth.stamps_ns[kept], truth.poses[kept])
     reports, full = map_drive(measurements, Configuration(), 0)
@@ -210,11 +205,10 @@ def judge_laser(name: str, world: str, seed: int) -> dict[str, list[float]]:
 
 def main() -> None:
     """Print a table, and write it."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = make_parser(__doc__)
     parser.add_argument("worlds", nargs="*", default=WORLDS)
     parser.add_argument("--seeds", type=int, default=2)
     parser.add_argument("--first", type=int, default=201)
-    parser.add_argument("--out", type=Path)
     parser.add_argument("--lasers", action="store_true")
     parser.add_argument("--only", nargs="*", default=LASERS)
     options = parser.parse_args()
@@ -231,9 +225,7 @@ def main() -> None:
             rows.append({"laser" if world else "world": kind, "stage": stage} | dict(zip(names, values, strict=False)))
             far = "".join(f"{value:.2f}" for value in values[4:] if value)
             print(f"| {kind} | {stage} | {values[0]:.4f}, {values[1]:.3f} | {values[2]:.4f}, {values[3]:.3f} | {far} |")
-    if options.out is not None:
-        how = "python benchmarks/error_budget.py" + " --lasers" * options.lasers
-        write_document(options.out, how, seeds=options.seeds, rows=rows)
+    write_document(options.out, seeds=options.seeds, rows=rows)
 
 
 if __name__ == "__main__":

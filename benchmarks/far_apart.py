@@ -6,11 +6,9 @@ number beside their own result at full rate. Errors are the root mean square of 
 
 from __future__ import annotations
 
-import argparse
 import gzip
-import math
 import tempfile
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -18,12 +16,12 @@ import numpy as np
 
 from gridslam import CarmenLog, LogOptions, Trajectory, map_log
 from gridslam.evaluation import absolute_errors
-from gridslam.geometry.angles import wrap
 from gridslam.io.carmen.writer import write_carmen
 from gridslam.io.measurement import Measurement
 from gridslam.types import FloatArray
-from measure import RESULTS, write_document
+from measure import RESULTS, make_parser, write_document
 from report import table
+from simulated import thin
 
 SPARSE = ("acapulco", "belgioioso", "seattle", "freiburg-101")
 """Logs of key scans."""
@@ -55,15 +53,10 @@ def gmapping_path(data: Path, name: str) -> FloatArray:
     return np.column_stack([rows[:, 1:3], 2 * np.arctan2(rows[:, 6], rows[:, 7])])
 
 
-def every_half_metre(log: Iterable[Measurement]) -> Iterator[tuple[int, Measurement]]:
-    """A scan every 0.5 m or 0.5 rad of odometry, and its number in the log."""
-    last = None
-    for number, measurement in enumerate(log):
-        pose = measurement.odometry.pose
-        far = last is None or math.hypot(*(pose - last)[:2]) >= 0.5 or abs(wrap(pose[2] - last[2])) >= 0.5
-        if far:
-            last = pose
-            yield number, measurement
+def every_half_metre(log: Path) -> dict[int, Measurement]:
+    """A scan every 0.5 m or 0.5 rad of odometry, by its number in the log."""
+    measurements = list(CarmenLog(log))
+    return {k: measurements[k] for k in thin(np.array([odometry.pose for odometry, _ in measurements]), 0.5, 0.5)}
 
 
 def list_cases(data: Path, folder: Path) -> Iterator[Case]:
@@ -73,10 +66,9 @@ def list_cases(data: Path, folder: Path) -> Iterator[Case]:
     for name in FULL_RATE:
         log = data / f"{name}.clf.bz2"
         poses = map_log(log).trajectory.poses
-        numbers, measurements = zip(*every_half_metre(CarmenLog(log)), strict=True)
-        thin = folder / f"{name}.clf"
-        write_carmen(thin, measurements)
-        yield Case(f"{name}, a scan every 0.5 m or 0.5 rad", thin, 1, poses[list(numbers)])
+        kept, thinned = every_half_metre(log), folder / f"{name}.clf"
+        write_carmen(thinned, kept.values())
+        yield Case(f"{name}, a scan every 0.5 m or 0.5 rad", thinned, 1, poses[list(kept)])
         for every in EVERY:
             yield Case(f"{name}, one scan in {every}", log, every, poses[::every])
 
@@ -94,10 +86,10 @@ def measure(case: Case, seeds: int) -> dict[str, float]:
 
 def main(arguments: Sequence[str] | None = None) -> dict[str, Any]:
     """Print the table and write the figures."""
-    parser = argparse.ArgumentParser(description="Errors on logs whose scans are far apart.")
+    parser = make_parser(__doc__)
     parser.add_argument("data", type=Path, help="folder of logs")
     parser.add_argument("--seeds", type=int, default=3)
-    parser.add_argument("--out", type=Path, default=RESULTS / "far_apart.json")
+    parser.set_defaults(out=RESULTS / "far_apart.json")
     given = parser.parse_args(arguments)
     with tempfile.TemporaryDirectory() as folder:
         found = {case.name: measure(case, given.seeds) for case in list_cases(given.data, Path(folder))}
@@ -106,7 +98,7 @@ def main(arguments: Sequence[str] | None = None) -> dict[str, Any]:
         for name, errors in found.items()
     ]
     print(table(["log", "final, m", "online, m"], rows))
-    write_document(given.out, f"python benchmarks/far_apart.py DATA --seeds {given.seeds}", logs=found)
+    write_document(given.out, logs=found)
     return found
 
 

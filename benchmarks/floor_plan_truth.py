@@ -64,21 +64,16 @@ def _is_rectangle(box: FloatArray) -> bool:
 def _find_doors(centres: FloatArray) -> FloatArray:
     """Gaps of 0.5 to 2.6 m between the ends of walls in one line, without a wall in between."""
     lines = Segments.of(centres)
-    found = []
-    for k in range(len(lines)):
-        steps, offsets = lines.locate(lines.ends[k, 1], lines.alongs[k])
-        ahead = (np.abs(offsets).max(axis=1) < 0.01) & (steps.min(axis=1) > -0.01)
-        ahead[k] = False
-        if ahead.any() and 0.5 < (gap := steps.min(axis=1)[ahead].min()) < 2.6:
-            found.append(lines.ends[k, 1] + np.outer([0, gap], lines.alongs[k]))
-    for k in range(len(lines)):  # walls that were built from right to left
-        steps, offsets = lines.locate(lines.ends[k, 0], -lines.alongs[k])
-        ahead = (np.abs(offsets).max(axis=1) < 0.01) & (steps.min(axis=1) > -0.01)
-        ahead[k] = False
-        if ahead.any() and 0.5 < (gap := steps.min(axis=1)[ahead].min()) < 2.6:
-            door = lines.ends[k, 0] + np.outer([0, gap], -lines.alongs[k])
-            if not any(np.hypot(*(door.mean(axis=0) - other.mean(axis=0))) < 0.1 for other in found):
-                found.append(door)
+    found: list[FloatArray] = []
+    for side, sign in ((1, 1), (0, -1)):  # walls are built from left to right, and from right to left
+        for end, along in zip(lines.ends[:, side], sign * lines.alongs, strict=True):
+            steps, offsets = lines.locate(end, along)
+            ahead = (np.abs(offsets).max(axis=1) < 0.01) & (steps.min(axis=1) > -0.01) & (steps.max(axis=1) > 0.01)
+            gap = steps.min(axis=1)[ahead].min(initial=np.inf)
+            if 0.5 < gap < 2.6:
+                door = end + np.outer([0, gap], along)
+                if all(np.hypot(*(door - other).mean(axis=0)) >= 0.1 for other in found):
+                    found.append(door)
     return np.array(found).reshape(-1, 2, 2)
 
 
@@ -227,8 +222,8 @@ def compare_rooms(plan: FloorPlan, truth: Truth, seen: Seen, pose: FloatArray) -
         found.append(mask & (labels > 0))
     cell = CELL_M**2
     overlaps = np.array([[float((a & b).sum()) for b in found] for a in regions]).reshape(len(regions), -1)
-    unions = np.array([[float((a | b).sum()) for b in found] for a in regions]).reshape(len(regions), -1)
-    ious = overlaps / np.maximum(unions, 1)
+    areas = [np.array([float(mask.sum()) for mask in masks]) for masks in (regions, found)]
+    ious = overlaps / np.maximum(np.add.outer(*areas) - overlaps, 1)
     due = [k for k, region in enumerate(regions) if region.sum() * cell >= LEAST_SEEN_ROOM_M2]
     visited = [k for k in due if 2 * regions[k].sum() > (labels == k + 1).sum()]
     owners = [int(np.argmax(overlaps[:, j])) for j in range(len(found))]

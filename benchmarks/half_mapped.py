@@ -9,9 +9,7 @@ wrong if any scan is. --inside: with the certainty that the robot is inside, as 
 
 from __future__ import annotations
 
-import argparse
 from collections.abc import Sequence
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -20,12 +18,13 @@ from gridslam.geometry.se2 import between
 from gridslam.localization import KnownMap, MonteCarloLocalization, place_verification
 from gridslam.mapping import OccupancyGridMapping
 from gridslam.sim import LidarConfig, OdometryNoise, RobotConfig, SimulatedLog, make_world, simulate, vary_route
-from measure import write_document
+from measure import make_parser, write_document
 
 NAMES = "random", "random", "rooms", "demo"
 FIRST_SEED = 100  # lower ones chose the parameters
 SCANS = 900
 WRONG_M = 0.5
+COUNTS = "inside", "outside", "found_inside", "found_outside", "wrong"
 
 
 def half_mapped(name: str, seed: int) -> tuple[KnownMap, SimulatedLog]:
@@ -52,7 +51,7 @@ def localize_from(known: KnownMap, drive: SimulatedLog, start: int, seed: int) -
     """Localize globally from a scan on; count scans inside and outside, those found there, and those found wrongly."""
     mcl, rng = MonteCarloLocalization(known), np.random.default_rng(seed)
     state = mcl.init()
-    counts = dict.fromkeys(("inside", "outside", "found_inside", "found_outside", "wrong"), 0)
+    counts = dict.fromkeys(COUNTS, 0)
     for (odometry, scan), truth in zip(
         drive.measurements[start : start + SCANS], drive.truth.poses[start : start + SCANS], strict=True
     ):
@@ -66,9 +65,8 @@ def localize_from(known: KnownMap, drive: SimulatedLog, start: int, seed: int) -
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Print and write the counts; gives 1 where a robot was found wrongly."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = make_parser(__doc__)
     parser.add_argument("buildings", nargs="?", type=int, default=50)
-    parser.add_argument("--out", type=Path)
     parser.add_argument("--inside", action="store_true")
     given = parser.parse_args(arguments)
     if given.inside:
@@ -82,20 +80,16 @@ def main(arguments: Sequence[str] | None = None) -> int:
         for start in starts:
             rows.append({"building": name, "seed": seed, "start": start, **localize_from(known, drive, start, start)})
         print(rows[-2:], flush=True)
-    sums = {
-        key: sum(row[key] for row in rows) for key in ("inside", "outside", "found_inside", "found_outside", "wrong")
-    }
+    inside, outside, found_inside, found_outside, wrong = (sum(row[key] for row in rows) for key in COUNTS)
     total = {
         "starts": len(rows),
         "wrong_starts": sum(row["wrong"] > 0 for row in rows),
-        "wrong_of_found": sums["wrong"] / max(sums["found_inside"] + sums["found_outside"], 1),
-        "found_of_inside": sums["found_inside"] / sums["inside"],
-        "found_of_outside": sums["found_outside"] / max(sums["outside"], 1),
+        "wrong_of_found": wrong / max(found_inside + found_outside, 1),
+        "found_of_inside": found_inside / inside,
+        "found_of_outside": found_outside / max(outside, 1),
     }
     print(total)
-    if given.out is not None:
-        how = f"python benchmarks/half_mapped.py --out benchmarks/results/{given.out.name}"
-        write_document(given.out, how, targets={"wrong_starts": 0}, total=total, rows=rows)
+    write_document(given.out, targets={"wrong_starts": 0}, total=total, rows=rows)
     return int(total["wrong_starts"] > 0)
 
 

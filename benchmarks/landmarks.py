@@ -1,4 +1,4 @@
-"""Landmark SLAM: cost by particles and landmarks, what resampling copies, and accuracy on real logs.
+"""Landmark SLAM: what a step costs, and accuracy on real logs.
 
 python benchmarks/landmarks.py [--data ../shared/data] [--seeds 10]
 """
@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import argparse
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
@@ -16,14 +16,13 @@ from gridslam.api.landmarks import METHODS, PARTICLES, LandmarkMethod, LandmarkR
 from gridslam.evaluation.maps import pair_by_name
 from gridslam.evaluation.trajectory import align
 from gridslam.geometry.se2 import transform_points
-from gridslam.models.association import KnownCorrespondence, MaximumLikelihood
+from gridslam.models.association import KnownCorrespondence
 from gridslam.models.landmark import LandmarkObservations, RangeBearing
 from gridslam.models.motion import DiffusionMotion
 from gridslam.slam.landmarks.ekf_slam import EkfSlam
 from gridslam.slam.landmarks.fastslam1 import FastSlam1
 from gridslam.slam.landmarks.fastslam2 import FastSlam2
 from gridslam.slam.landmarks.filters import LandmarkFilters
-from gridslam.slam.landmarks.particles import LandmarkParticles
 from gridslam.types import FloatArray
 from report import Report, table
 
@@ -35,18 +34,11 @@ _PARTS = 3
 
 def landmarks(report: Report, data: Path, seeds: Sequence[int], steps: int = 100) -> None:
     """Cost on a field of landmarks, then accuracy on MRCLAM where the data is there."""
-    rows = []
-    for particles, count in ((100, 100), (1000, 8), (1000, 100)):
-        for kind in (FastSlam1, FastSlam2):
-            for association in (KnownCorrespondence(), MaximumLikelihood()):
-                rate = _fastslam_rate(kind(LandmarkFilters(_SENSOR, association)), particles, count, steps)
-                rows.append([kind.__name__, type(association).__name__, particles, count, rate])
-    report.add(
-        f"FastSLAM: steps a second, {_SEEN} observations a step",
-        table(["filter", "correspondences", "particles", "landmarks", "steps/s"], rows),
-    )
-    copied = [[str(share), _resampling_ms(share)] for share in (0.1, 0.33, 0.9)]
-    report.add("Resampling 1000 particles of 100 landmarks", table(["share of dead particles", "ms"], copied))
+    rates = []
+    for kind in (FastSlam1, FastSlam2):
+        slam = kind(LandmarkFilters(_SENSOR, KnownCorrespondence()))
+        rates.append([kind.__name__, _fastslam_rate(slam, 1000, 100, steps)])
+    report.add("FastSLAM, 1000 particles of 100 landmarks", table(["filter", "steps/s"], rates))
     ekf = [[count, _ekf_ms(count, steps)] for count in (15, 100, 500)]
     report.add(f"EKF SLAM, {_SEEN} observations a step", table(["landmarks", "ms/step"], ekf))
     for robot in (1, 3):
@@ -85,16 +77,6 @@ def _fastslam_rate(slam: FastSlam1 | FastSlam2, particles: int, count: int, step
             state, _ = slam.step(state, _MOTION(np.zeros(3)), observations, rng)
         rates.append(steps / (time.perf_counter() - begin))
     return max(rates)
-
-
-def _resampling_ms(dead: float, particles: int = 1000, count: int = 100, repeats: int = 20) -> float:
-    rng, state = np.random.default_rng(0), LandmarkParticles.at(particles, np.zeros(3))
-    while len(state.names) < count:
-        state.new_columns(np.arange(particles), len(state.names))
-        state.evidence[:] = 0.0
-    survivors = np.sort(rng.permutation(particles)[: round((1 - dead) * particles)])
-    drawn = np.sort(np.concatenate([survivors, rng.choice(survivors, particles - len(survivors))]))
-    return _best_ms(lambda: state.resample(drawn), repeats)
 
 
 def _ekf_ms(count: int, steps: int) -> float:
@@ -152,15 +134,6 @@ def _victoria_park(report: Report, log: Path, seeds: Sequence[int]) -> None:
 
 def _median_apart(points: FloatArray, others: FloatArray) -> float:
     return float(np.median(np.hypot(*(transform_points(align(points, others), points) - others).T)))
-
-
-def _best_ms(work: Callable[[], object], repeats: int) -> float:
-    times = []
-    for _ in range(repeats):
-        begin = time.perf_counter()
-        work()
-        times.append(time.perf_counter() - begin)
-    return 1e3 * min(times)
 
 
 if __name__ == "__main__":

@@ -9,11 +9,9 @@ quarter of the outline was seen that day, and which was seen to be free on the o
 
 from __future__ import annotations
 
-import argparse
 from collections.abc import Sequence
 from dataclasses import replace
 from functools import cache
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -21,6 +19,7 @@ from scipy.spatial import cKDTree
 
 from floor_plan_truth import CELL_M, Seen, look, read_truth
 from floor_plans import Building, drive
+from gridslam.config import Configuration
 from gridslam.evaluation.trajectory import align
 from gridslam.geometry import se2
 from gridslam.plan import points_of_scans
@@ -29,7 +28,7 @@ from gridslam.plan.changes import Changes, find_changes
 from gridslam.sim import World, make_world
 from gridslam.sim.floor_plan import clearance
 from gridslam.types import FloatArray
-from measure import write_document
+from measure import make_parser, write_document
 
 SEEDS = tuple(range(8))
 LANE_M = 0.6
@@ -113,14 +112,14 @@ def _see(day: Building) -> Seen:
     return look(read_truth(day.log.walls), np.array(origins), list(ends))
 
 
-def make_days(seed: int) -> tuple[list[Building], list[FloatArray]]:
+def make_days(seed: int, config: Configuration | None = None) -> tuple[list[Building], list[FloatArray]]:
     """Two days in a building, and the outlines of what was moved, on the first and on the second."""
     rng = np.random.default_rng(1000 + seed)
     world = make_world("random", np.random.default_rng(seed))
     later, before, after = move_furniture(world, rng)
     later = replace(later, route=later.route[::-1].copy())
-    days = [drive(day, number, np.random.default_rng(number)) for day, number in ((world, seed), (later, seed + 500))]
-    return days, [before, after]
+    days = (world, seed), (later, seed + 500)
+    return [drive(day, k, np.random.default_rng(k), config) for day, k in days], [before, after]
 
 
 def summarize(rows: Sequence[dict[str, Any]]) -> dict[str, float]:
@@ -134,9 +133,8 @@ def summarize(rows: Sequence[dict[str, Any]]) -> dict[str, float]:
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Print and write the figures; gives 1 where a target is missed."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = make_parser(__doc__)
     parser.add_argument("seeds", nargs="*", type=int)
-    parser.add_argument("--out", type=Path)
     given = parser.parse_args(arguments)
     rows: dict[str, list[dict[str, Any]]] = {"": [], "shifted": []}
     for seed in given.seeds or SEEDS:
@@ -146,9 +144,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         print(seed, rows[""][-1], flush=True)
     summaries = {worse or "as found": summarize(own) for worse, own in rows.items()}
     print(summaries)
-    if given.out is not None:
-        how = f"python benchmarks/map_changes.py --out benchmarks/results/{given.out.name}"
-        write_document(given.out, how, targets=TARGETS, summaries=summaries, rows=rows[""])
+    write_document(given.out, targets=TARGETS, summaries=summaries, rows=rows[""])
     return int(any(summaries["as found"][name] < least for name, least in TARGETS.items()))
 
 

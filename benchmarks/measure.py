@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+import argparse
 import datetime
 import json
 import os
 import platform
 import re
+import shlex
 import subprocess
+import sys
 from pathlib import Path
 from typing import Any
 
@@ -46,9 +49,18 @@ def document(how: str, **figures: object) -> dict[str, Any]:
     }
 
 
-def write_document(path: Path, how: str, **figures: object) -> None:
-    """Write a `document` as JSON."""
-    path.write_text(json.dumps(document(how, **figures), indent=1) + "\n", encoding="utf-8")
+def write_document(path: Path | None, how: str = "", **figures: object) -> None:
+    """Write a `document` as JSON, where a path is given; measured as the command line says, if nothing else does."""
+    if path is not None:
+        how = how or shlex.join(["python", f"benchmarks/{Path(sys.argv[0]).name}", *sys.argv[1:]])
+        path.write_text(json.dumps(document(how, **figures), indent=1) + "\n", encoding="utf-8")
+
+
+def make_parser(description: str | None) -> argparse.ArgumentParser:
+    """Make a parser with the option --out, the file that figures are written to."""
+    parser = argparse.ArgumentParser(description=description, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--out", type=Path, help="write the figures here")
+    return parser
 
 
 def _cores() -> set[int]:

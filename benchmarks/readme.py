@@ -54,7 +54,7 @@ def block() -> str:
 
 
 def scoreboard() -> str:
-    """Return the generated part of docs/scoreboard.md: all logs, variants and systems."""
+    """Return the generated part of docs/scoreboard.md: all logs and variants."""
     suite = _read("suite.json")
     ratio = suite.get("ratio", {"to": "", "logs": {}})
     head = ["log", "variant", "seeds", *(row.name for row in _ROWS), f"CPU time beside {ratio['to']}"]
@@ -65,13 +65,7 @@ def scoreboard() -> str:
             failed = f", {cell['failed']} failed" if cell["failed"] else ""
             figures = [_write(row, cell) for row in _ROWS]
             rows.append([log, variant, f"{cell['seeds']}{failed}", *figures, "" if cost is None else f"{cost:.2f}"])
-    systems = [
-        [name, log, f"{scores['relations']['trans_mean_m']:.4f} m", f"{scores['relations']['rot_mean_deg']:.3f} deg"]
-        for name, logs in suite["systems"].items()
-        for log, scores in logs.items()
-    ]
-    text = f"{_describe_machine(suite)}\n\n{table(head, rows)}\n"
-    return text + (f"\n{table(['system', 'log', 'translation', 'rotation'], systems)}\n" if systems else "")
+    return f"{_describe_machine(suite)}\n\n{table(head, rows)}\n"
 
 
 def _describe_machine(suite: Mapping[str, Any]) -> str:

@@ -16,23 +16,18 @@ from typing import NamedTuple, final
 import numpy as np
 from scipy.ndimage import minimum_filter
 
-from aliasing_worlds import make_world
-from closure_worlds import DECEPTIVE, campus, deceptive, grounds
-from closure_worlds import Drive as Course
-from gridslam.errors import ArgumentError
-from gridslam.geometry.angles import wrap
+from closure_worlds import DECEPTIVE, course
 from gridslam.geometry.se2 import between, compose, exp, log, transform_points
 from gridslam.grid.tiles import TileMaps
 from gridslam.io.measurement import Measurement
 from gridslam.mapping.occupancy_grid_mapping import OccupancyGridMapping
 from gridslam.matching import BranchAndBound, Pyramid
 from gridslam.matching.gauss_newton import EVALUATE_ONLY, degenerate_direction
-from gridslam.sim import LidarConfig, OdometryNoise, RobotConfig
 from gridslam.types import Beams, FloatArray, IntArray, LaserScan, Odometry, ScanGeometry
+from simulated import thin
 
 HONEST = ("rooms", "demo", "loop", "random")
 KINDS = (*HONEST, *DECEPTIVE)
-LARGE = ("campus", "grounds")
 _UNLIKE = (*HONEST, "moved_furniture")
 APART_M = 30.0
 """A place seen so many metres of driving before is an old one."""
@@ -111,8 +106,8 @@ def simulated(kind: str, seed: int) -> Drive:
 
     And one on the grounds, without any.
     """
-    course, rng = _course(kind, seed), np.random.default_rng([seed, zlib.crc32(kind.encode())])
-    log = course.simulate()
+    rng = np.random.default_rng([seed, zlib.crc32(kind.encode())])
+    log = course(kind, seed).simulate()
     scans, truth = [scan for _, scan in log.measurements], np.asarray(log.truth.poses)
     strength = _HONEST if kind in _UNLIKE else _DECEPTIVE
     dark, wrong = np.empty((0, 2)), np.asarray(log.odometry.poses)
@@ -127,24 +122,13 @@ def simulated(kind: str, seed: int) -> Drive:
     return Drive(f"{kind} {seed}", list(map(Measurement, odometry, scans)), truth, dark)
 
 
-def _course(kind: str, seed: int) -> Course:
-    if kind in DECEPTIVE:
-        return deceptive(kind, seed)
-    if kind in LARGE:
-        return (campus if kind == "campus" else grounds)(seed)
-    if kind not in HONEST:
-        raise ArgumentError("kind", f"one of {', '.join([*KINDS, *LARGE])}", repr(kind))
-    world = make_world(kind, np.random.default_rng(seed))
-    return Course(f"{kind} {seed}", world, RobotConfig(), OdometryNoise(), LidarConfig(), seed)
-
-
 def _blackouts(truth: FloatArray, scans: list[LaserScan], strength: _Dark, rng: np.random.Generator) -> FloatArray:
     """Draw one to three stretches (B, 2), apart from each other, in metres driven.
 
     Those are drawn after which the robot returns to what it saw before them, where there are such; and of these the
     tenth at whose ends the laser sees the least of what it saw before: that would put the robot right at once.
     """
-    driven, keys = driven_m(truth), key_scans(truth)
+    driven, keys = driven_m(truth), np.array(thin(truth, _KEY_M, _KEY_RAD))
     beams = {k: scans[k].beams(_NEAREST_M, _FARTHEST_M) for k in keys.tolist()}
     seen = _FirstSeen(truth, driven, keys, beams)
     away = np.hypot(*(truth[keys, None, :2] - truth[None, keys, :2]).transpose(2, 0, 1))
@@ -183,23 +167,13 @@ def _misled(
     return np.array(poses)
 
 
-def key_scans(truth: FloatArray) -> IntArray:
-    """Scans (K,) that are half a metre, or half a radian, from the one before."""
-    keys = [0]
-    for k, (x, y, turn) in enumerate(truth):
-        last = truth[keys[-1]]
-        if math.hypot(x - last[0], y - last[1]) >= _KEY_M or abs(wrap(turn - last[2])) >= _KEY_RAD:
-            keys.append(k)
-    return np.array(keys)
-
-
 def certain_revisits(drive: Drive) -> FloatArray:
     """Arcs (R, 2) of the drive, in metres driven, along which it is certain by the truth that the place is an old one.
 
     At each of its key scans most beams end on structure that was seen long before, and before the last blackout; they
     determine the pose; and nowhere else in the whole world do they fit nearly as well. No run of a mapper is needed.
     """
-    driven, keys = driven_m(drive.truth), key_scans(drive.truth)
+    driven, keys = driven_m(drive.truth), np.array(thin(drive.truth, _KEY_M, _KEY_RAD))
     beams = {k: drive.everything[k].scan.beams(_NEAREST_M, _FARTHEST_M) for k in keys.tolist()}
     shown = keys[np.isin(keys, drive.lit)]
     old, world, drawn = OccupancyGridMapping().empty(1), OccupancyGridMapping().empty(1), 0
@@ -224,7 +198,7 @@ def certain_revisits(drive: Drive) -> FloatArray:
 
 def revisited_way(drive: Drive) -> FloatArray:
     """Pieces (R, 2) of 10 m at most, in metres driven, on which the robot is where it was long before."""
-    driven, keys = driven_m(drive.truth), key_scans(drive.truth)
+    driven, keys = driven_m(drive.truth), np.array(thin(drive.truth, _KEY_M, _KEY_RAD))
     places, at = drive.truth[keys, :2], driven[keys]
     before = np.searchsorted(at, at - APART_M)
     near = [np.hypot(*(places[:k] - place).T).min(initial=np.inf) for k, place in zip(before, places, strict=True)]

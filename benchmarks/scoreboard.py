@@ -4,8 +4,7 @@
     gridslam batch suite.csv -o OUT --workers 1
     python benchmarks/scoreboard.py OUT [--data FOLDER] [--beside benchmarks/results/COMMIT.json] [-o FILE]
 
-`python benchmarks/readme.py` then writes it into the README and docs/scoreboard.md. Other systems are those of
-`SYSTEMS` whose trajectories are below the folder of logs.
+`python benchmarks/readme.py` then writes it into the README and docs/scoreboard.md.
 """
 
 from __future__ import annotations
@@ -20,7 +19,6 @@ from typing import Any
 import numpy as np
 from scipy.stats import t as student
 
-from gridslam.api.evaluation import evaluate_trajectory
 from gridslam.batch.journal import read_rows
 from gridslam.batch.regress import measure
 from measure import RESULTS, document
@@ -32,14 +30,8 @@ VARIANTS = {name: {"preset": name} for name in ("default", "gmapping")}
 VARIANTS["filter"] = {"no-loop-closure": "true"}
 """Options of `gridslam map` of each way in which a log is mapped."""
 
-SYSTEMS = {"gmapping-cpp": "systems/gmapping/{log}.tum", "lama": "systems/lama/{log}.tum"}
-"""Other systems: their trajectories in TUM format."""
-
 FIGURES = {"error_m": 6, "error_rad": 7, "worst_m": 6, "sharpness_m": 5, "cpu_s": 2, "peak_memory_bytes": 0}
 """Figures of a run, and the decimals that are kept."""
-
-_OLD_NAMES = {"default": "gridslam", "filter": "filter"}
-_OLD_FIGURES = {"error_m": "translation_m", "cpu_s": "cpu_s"}
 
 
 def main(arguments: Sequence[str] | None = None) -> Path:
@@ -61,7 +53,6 @@ def main(arguments: Sequence[str] | None = None) -> Path:
     found = document(
         "gridslam batch suite.csv --workers 1; CPU time of the children, with Python's start",
         cells=cells,
-        systems=_score_systems(given.data),
         runs=runs,
     )
     found["commit"] = given.commit or found["commit"]
@@ -111,24 +102,16 @@ def interval(values: Sequence[float], decimals: int) -> dict[str, float]:
 
 
 def ratios(cells: Mapping[str, Any], earlier: Mapping[str, Any]) -> dict[str, dict[str, dict[str, float]]]:
-    """Means divided by those of an earlier scoreboard, or of an earlier file of Intel and ACES."""
+    """Means divided by those of an earlier scoreboard."""
     found: dict[str, dict[str, dict[str, float]]] = {}
     for log, variants in cells.items():
         for variant, cell in variants.items():
-            if "cells" in earlier:
-                before = earlier["cells"].get(log, {}).get(variant, {})
-                means = {name: before[name]["mean"] for name in FIGURES if name in before}
-            else:
-                before = earlier["logs"].get(log, {}).get(_OLD_NAMES.get(variant), {})
-                means = {name: _mean(before[old]) for name, old in _OLD_FIGURES.items() if old in before}
+            before = earlier["cells"].get(log, {}).get(variant, {})
+            means = {name: before[name]["mean"] for name in FIGURES if "mean" in before.get(name, {})}
             told = {name: round(cell[name]["mean"] / mean, 3) for name, mean in means.items() if name in cell}
             if told:
                 found.setdefault(log, {})[variant] = told
     return found
-
-
-def _mean(figure: float | dict[str, float]) -> float:
-    return figure["mean"] if isinstance(figure, dict) else figure
 
 
 def _describe(row: Mapping[str, Any]) -> dict[str, Any]:
@@ -137,17 +120,6 @@ def _describe(row: Mapping[str, Any]) -> dict[str, Any]:
     figures = measure(row)
     found = {"log": log, "variant": variant, "seed": int(seed), "failed": row["status"] == "failed"}
     return found | {name: round(figures[name], decimals) for name, decimals in FIGURES.items() if name in figures}
-
-
-def _score_systems(data: Path) -> dict[str, dict[str, Any]]:
-    """Errors of other systems, where their trajectories are there; without a reference there is nothing to score."""
-    found: dict[str, dict[str, Any]] = {}
-    for system, pattern in SYSTEMS.items():
-        for log, relations in LOGS.items():
-            trajectory = data / pattern.format(log=log)
-            if trajectory.is_file() and (data / relations).is_file():
-                found.setdefault(system, {})[log] = evaluate_trajectory(trajectory, data / relations, 1.0)
-    return found
 
 
 if __name__ == "__main__":

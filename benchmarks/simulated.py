@@ -1,4 +1,4 @@
-"""Map a simulated drive with what a benchmark needs of it: every report, and the full result."""
+"""Drives of benchmarks: key scans of one, and its map with every report and the full result."""
 
 from __future__ import annotations
 
@@ -7,11 +7,22 @@ from collections.abc import Iterable
 import numpy as np
 
 from gridslam.config import Configuration, build
+from gridslam.geometry.se2 import between
 from gridslam.io.measurement import Measurement
 from gridslam.observers import TrajectoryRecorder
 from gridslam.pipeline import run
 from gridslam.slam.full_slam.full_slam import FullSlam, full_slam
-from gridslam.types import StepReport
+from gridslam.types import FloatArray, StepReport
+
+
+def thin(poses: FloatArray, metres: float, radians: float) -> list[int]:
+    """Return the places of poses (N, 3) each of which is so far, or turned so much, from the one before."""
+    kept = [0]
+    for k in range(len(poses)):
+        dx, dy, turn = between(poses[kept[-1]], poses[k])
+        if np.hypot(dx, dy) >= metres or abs(turn) >= radians:
+            kept.append(k)
+    return kept
 
 
 def map_drive(

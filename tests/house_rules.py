@@ -30,7 +30,6 @@ ONLY_IN = {
     "starlette": {"live"},
     "uvicorn": {"live"},
     "websockets": set(),
-    "fsspec": {"io"},
     "contourpy": {"plan"},
     "shapely": {"plan"},
 }

@@ -2,7 +2,7 @@
 # ruff: noqa: B018, F821
 
 context, format_epilog, format_usage, get_command, list_commands  # click
-__getattr__, __dir__, __signature__, __cause__, __context__, _repr_html_, _repr_svg_  # Python and notebooks
+__getattr__, __dir__, __signature__, __cause__, __context__, _repr_svg_  # Python and notebooks
 (
     align_to_folder,
     changes_to_folder,
@@ -32,8 +32,6 @@ writeable, comment, compress_type, max_size, should_exit  # NumPy, zipfile, webs
     throttled,
     extrapolated,
     surplus,
-    odometry_m,
     runner_up_pose,
-    agreeing_keypoints,
 )  # read together with others
-to_planar, squared_innovations, read_trajectory_csv  # offered to callers
+to_planar, read_trajectory_csv  # offered to callers

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 import warnings
-from collections.abc import Sequence
 from dataclasses import dataclass
 from enum import IntEnum
 from typing import Annotated, Any, TypeAlias, final
@@ -395,61 +394,6 @@ class LaserScan:
         if times is not None and not np.isfinite(times).all():
             raise ArgumentError("beam_times_s", "finite times in s", "a value that is not finite")
         return cls(int(stamp_ns), values, status, geometry, range_min_m, range_max_m, sensor, frame, times)
-
-    @classmethod
-    def from_rows(
-        cls,
-        stamps_ns: Sequence[int],
-        ranges: FloatArray,
-        status: NDArray[np.uint8],
-        geometry: ScanGeometry,
-        *,
-        range_min_m: float = 0.0,
-        range_max_m: float = np.inf,
-        sensor: str = "laser",
-        frame: str = "laser",
-    ) -> list[LaserScan]:
-        """Build many scans of the same beams as views of the rows of arrays; they are checked all at once.
-
-        Parameters
-        ----------
-        stamps_ns : sequence of int, ns
-            K of them; of these only the first one is checked.
-        ranges, status : (K, B) float64 and uint8
-            Range in m and `BeamStatus` of each beam.
-        geometry : ScanGeometry
-            Of all of them, as the limits, the sensor and the frame.
-
-        Raises
-        ------
-        ArgumentError
-            As the constructor.
-        """
-        require_instance("geometry", geometry, ScanGeometry)
-        shape = (len(stamps_ns), len(geometry.bearings))
-        require_array("ranges", ranges, np.float64, shape)
-        require_array("status", status, np.uint8, shape)
-        if (greatest := int(status.max(initial=0))) > _GREATEST:
-            raise ArgumentError("status", "values of BeamStatus: 0, 1 or 2", greatest)
-        new, put = object.__new__, object.__setattr__
-        scans: list[LaserScan] = []
-        for stamp_ns, ranges_m, statuses in zip(stamps_ns, ranges, status, strict=True):
-            if not scans:
-                first = cls(stamp_ns, ranges_m, statuses, geometry, range_min_m, range_max_m, sensor, frame)
-                scans.append(first)
-                continue
-            scan = new(cls)
-            put(scan, "stamp_ns", stamp_ns)
-            put(scan, "ranges", ranges_m)
-            put(scan, "status", statuses)
-            put(scan, "geometry", geometry)
-            put(scan, "range_min_m", range_min_m)
-            put(scan, "range_max_m", range_max_m)
-            put(scan, "sensor", sensor)
-            put(scan, "frame", frame)
-            put(scan, "beam_times_s", None)
-            scans.append(scan)
-        return scans
 
     @classmethod
     def from_ros(  # noqa: PLR0913 the message's fields, by their names

@@ -7,7 +7,7 @@ import pytest
 from house_rules import ALLOWED, ONLY_IN, impurities, is_pure, misplaced, upward, violations
 from support.house import PACKAGE, ROOT, Source, find_cycle, sources
 
-EXTRAS = {"contourpy", "fsspec", "optuna", "shapely"}
+EXTRAS = {"contourpy", "optuna", "shapely"}
 """Of the dependencies, what is installed on demand."""
 
 UNSEEN = {"backports"}

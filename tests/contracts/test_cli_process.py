@@ -121,9 +121,8 @@ def test_logs_of_any_name_in_any_locale(log, tmp_path):
     os.link(log, tmp_path / name)
     few = ["--duration", "2"]
     mapped = ["map", name, "-o", "ä", "--save", "ü.gridslam", "--particles", "2", *few]
-    checked = ["doctor", name, "-o", "ä", *few]
     batch = ["batch", name, "-o", "ö", "--", "--particles", "2", *few]
-    for arguments, environment in ((mapped, {}), (checked, ASCII), (batch, ASCII)):
+    for arguments, environment in ((mapped, {}), (batch, ASCII)):
         command = [*GRIDSLAM, *map(os.fsencode, arguments)]
         done = subprocess.run(command, capture_output=True, cwd=tmp_path, env={**os.environ, **environment})
         assert (done.returncode, b"Traceback" in done.stderr) == (0, False), (arguments, done.stderr)

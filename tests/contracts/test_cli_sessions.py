@@ -1,12 +1,16 @@
 """What `map --save` and `--continue`, `session` and `merge` write, print and return."""
 
 import json
+from dataclasses import replace
 
 import pytest
 from PIL import Image
 
+from gridslam.api.session import Session
 from gridslam.cli.main import main
 from gridslam.io.carmen.writer import write_carmen
+from gridslam.io.sessions.drives import SavedPiece
+from gridslam.io.sessions.session_file import write_session
 from gridslam.io.trajectories import read_tum
 from gridslam.live.replay import Replay
 
@@ -81,15 +85,14 @@ def test_what_was_moved_stays_apart_or_is_found_and_merging_is_written(call, log
 @pytest.mark.parametrize(
     ("options", "problem"),
     [
-        (("--same-place",), "--same-place needs --continue or --prior"),
-        (("--pose", "0,0,0"), "--pose needs --continue or --prior"),
-        (("--frozen",), "--frozen needs --continue or --prior"),
+        (("--same-place",), "--same-place needs --continue"),
+        (("--pose", "0,0,0"), "--pose needs --continue"),
+        (("--frozen",), "--frozen needs --continue"),
         (("--continue", "SESSION", "--particles", "9"), "--particles contradicts --continue"),
         (("--continue", "SESSION", "--seed", "9"), "--seed contradicts --continue"),
         (("--continue", "SESSION", "--same-place", "--elsewhere"), "--same-place contradicts --elsewhere"),
         (("--continue", "none.gridslam"), "none.gridslam"),
         (("--continue", "LOG"), "expected a session of gridslam"),
-        (("--prior", "none.yaml"), "none.yaml"),
     ],
 )
 def test_what_contradicts_is_refused_and_nothing_is_written(call, logs, monday, tmp_path, options, problem):
@@ -117,60 +120,14 @@ def test_what_cannot_be_merged_is_refused(call, monday, tmp_path, given, problem
     assert not list(tmp_path.iterdir())
 
 
-@pytest.fixture(scope="module")
-def floors(logs, monday, tmp_path_factory):
-    """A session of two floors."""
-    folder = tmp_path_factory.mktemp("floors")
-    ground, both = folder / "ground.gridslam", folder / "both.gridslam"
-    first = "map", logs / "monday.clf", "-o", folder / "a", *FEW, "--save", ground, "--floor", "ground"
-    second = "map", logs / "tuesday.clf", "-o", folder / "b", "--continue", ground, "--save", both, "--floor", "upper"
-    for arguments in (first, second):
-        assert main([str(argument) for argument in arguments]) == 0
-    return both
-
-
-def test_maps_of_floors_are_listed_and_written(call, floors, tmp_path):
-    status, out, err = call("session", floors, "-o", tmp_path / "out")
+def test_the_maps_of_a_session_are_listed_and_written(call, monday, tmp_path):
+    session = Session.open(monday)
+    (piece,) = session.pieces
+    other = SavedPiece(piece.piece, (replace(piece.drives[0], name="other"),))
+    write_session(tmp_path / "both.gridslam", replace(session.saved, pieces=(other,)))
+    status, out, err = call("session", tmp_path / "both.gridslam", "-o", tmp_path / "out")
     assert (status, err) == (0, "")
-    assert "piece 1, upper: 1 drive" in out
-    assert "piece 2, ground: 1 drive" in out
-    assert json.loads(call("session", floors, "--json")[1])["maps"] == ["upper", "ground"]
+    assert "piece 1, monday: 1 drive" in out
+    assert "piece 2, other: 1 drive" in out
     written = {path.name for path in (tmp_path / "out").iterdir()}
-    assert written == {f"{name}{suffix}" for name in ("ground", "upper") for suffix in (".yaml", ".pgm")}
-
-
-def test_each_floor_has_a_plan(call, floors, tmp_path):
-    plans = {}
-    for name in ("ground", "upper"):
-        status, _, err = call("plan", floors, "--floor", name, "-o", tmp_path / name)
-        assert (status, err) == (0, "")
-        plans[name] = json.loads((tmp_path / name / "plan.json").read_text())
-    assert plans["ground"]["walls"] != plans["upper"]["walls"]
-    assert "both, upper" in (tmp_path / "upper" / "plan.svg").read_text()
-    for arguments, problem in (
-        (("plan", floors, "--floor", "cellar"), "--floor: expected upper or ground, got cellar"),
-        (("changes", floors, floors, "--floor", "cellar"), "--floor: expected upper or ground, got cellar"),
-        (("align", floors, floors, "--floor", "cellar"), "--floor: expected upper or ground, got cellar"),
-        (("plan", tmp_path / "x.yaml", "--floor", "upper"), "--floor: expected a session"),
-    ):
-        status, out, err = call(*arguments, "-o", tmp_path / "none")
-        assert (status, out, err.count("\n")) == (2, "", 1)
-        assert problem in err
-
-
-def test_a_floor_is_named_where_it_is_kept(call, logs, floors, tmp_path):
-    for options, problem in (
-        (("--floor", "ground"), "--floor needs --save or --continue"),
-        (("--floor", "a/b", "--continue", floors), "expected 1 to 40 letters"),
-    ):
-        status, out, err = call("map", logs / "monday.clf", "-o", tmp_path / "out", *options)
-        assert (status, out) == (2, "")
-        assert problem in err
-
-
-def test_a_log_at_the_same_place_is_on_the_same_floor(call, logs, floors, tmp_path):
-    given = "--continue", floors, "--same-place", "--floor", "ground"
-    status, out, err = call("map", logs / "tuesday.clf", "-o", tmp_path / "out", *given)
-    assert (status, out, err.count("\n")) == (2, "", 1)
-    assert "--floor: expected upper, on which the robot is at the same place, got ground" in err
-    assert not list(tmp_path.iterdir())
+    assert written == {f"{name}{suffix}" for name in ("monday", "other") for suffix in (".yaml", ".pgm")}

@@ -29,16 +29,20 @@ def logs(tmp_path_factory):
     return folder
 
 
-@pytest.fixture(scope="module")
-def tuned(logs, tmp_path_factory):
-    out = tmp_path_factory.mktemp("tuned") / "best.toml"
+@pytest.fixture
+def tuned(logs, tmp_path):
+    out = tmp_path / "best.toml"
     arguments = [str(logs / "log1.clf"), "--held-out", str(logs / "log2.clf"), "-o", str(out), *FEW]
     assert main(["tune", *arguments, "--json"]) == 0
     return out, arguments
 
 
-def test_it_writes_a_configuration_and_a_document(tuned, logs):
-    out, _ = tuned
+def test_it_writes_a_configuration_and_a_document(tuned, logs, monkeypatch):
+    """And an interrupted search goes on to the same bytes and does nothing twice.
+
+    An interrupt leaves the rows and folders of what was done; here two trials are not yet.
+    """
+    out, arguments = tuned
     folder = out.with_suffix(".tune")
     document = json.loads((folder / "tune.json").read_text())
     assert document["schema"] == "gridslam.tuning/4"
@@ -54,11 +58,6 @@ def test_it_writes_a_configuration_and_a_document(tuned, logs):
         assert {pair["log"] for pair in document["pairs"]} == {"log2"}
     assert (folder / "runs.sqlite").is_file()
 
-
-def test_an_interrupted_search_goes_on_to_the_same_bytes_and_does_nothing_twice(tuned, monkeypatch):
-    """An interrupt leaves the rows and folders of what was done; here two trials are not yet."""
-    out, arguments = tuned
-    folder = out.with_suffix(".tune")
     before = out.read_bytes(), (folder / "tune.json").read_bytes()
     out.unlink()
     (folder / "tune.json").unlink()

@@ -6,6 +6,7 @@ import ast
 import doctest
 import re
 import shlex
+import shutil
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -64,6 +65,9 @@ def examples(page: Path) -> Iterator[Example]:
             yield Example(found["language"], found["shown"], line)
 
 
+MADE: dict[str, Path] = {}
+"""Commands that have run, and the folder `demo` beside which they did."""
+
 RUN = [page for page in PAGES if any(examples(page))]
 
 
@@ -73,7 +77,11 @@ def run_console(shown: str, capsys: pytest.CaptureFixture[str]) -> None:
         command, _, expected = part.partition("\n")
         program, *arguments = shlex.split(command)
         capsys.readouterr()
+        if command == "gridslam demo -o demo" and (earlier := MADE.get(command)):
+            shutil.copytree(earlier, "demo")  # two pages map the same building
+            continue
         status = main(arguments)
+        MADE[command] = Path("demo").absolute()
         told, problem = capsys.readouterr()
         assert (program, status) == ("gridslam", 0), f"{command}\n{problem}"
         assert not expected.strip() or SAME.check_output(expected, told, doctest.ELLIPSIS), f"{command}\n{told}"

@@ -2,21 +2,30 @@
 
 from __future__ import annotations
 
+from functools import cache
+from pathlib import Path
+
 import numpy as np
 import pytest
 
-from gridslam.api.landmarks import LandmarkResult, map_landmarks
+from gridslam.api.landmarks import LandmarkMethod, LandmarkResult, map_landmarks
 from gridslam.evaluation import align
 from gridslam.evaluation.consistency import nees
 from gridslam.evaluation.maps import pair_by_name
 from gridslam.geometry.se2 import compose, inverse, transform_points
 
 
+@cache
+def mapped(log: Path, method: LandmarkMethod) -> LandmarkResult:
+    """Map a log once for all tests."""
+    return map_landmarks(log, method)
+
+
 @pytest.mark.parametrize("robot", [1, 3])
 @pytest.mark.parametrize("method", ["ekf", "graph"])
 def test_mrclam(data_dir, robot, method):
     """Landmarks and poses, misread barcodes included; nothing is drawn, so the margin is for other models of noise."""
-    result = map_landmarks(data_dir / "landmarks" / f"mrclam6_Robot{robot}_Odometry.dat.gz", method)
+    result = mapped(data_dir / "landmarks" / f"mrclam6_Robot{robot}_Odometry.dat.gz", method)
     poses, landmarks = result.errors()
     assert (landmarks.found, landmarks.missing, landmarks.surplus) == (15, 0, 0)
     # Measured 0.056 and 0.035 m by the EKF, which estimates the scale of the ranges, and 0.08 to 0.10 m by the graph.
@@ -36,7 +45,7 @@ def test_mrclam_by_particles(data_dir):
 
 def test_misread_barcodes_are_not_believed(data_dir):
     """Robot 3 reads one barcode four times where another stands, 3.3 rad away."""
-    result = map_landmarks(data_dir / "landmarks" / "mrclam6_Robot3_Odometry.dat.gz", "ekf")
+    result = mapped(data_dir / "landmarks" / "mrclam6_Robot3_Odometry.dat.gz", "ekf")
     assert result.estimate.outliers == 4
 
 
@@ -90,7 +99,7 @@ def _median_nees(result):
 @pytest.mark.parametrize("method", ["ekf", "graph"])
 def test_covariances_are_of_the_size_of_the_errors(log, method):
     """A third to three times the median of chi2, and a little: measured 1.2 to 3.8."""
-    assert 0.7 < _median_nees(map_landmarks(log, method)) < 7.2
+    assert 0.7 < _median_nees(mapped(log, method)) < 7.2
 
 
 def test_systematic_errors_are_those_that_the_ground_truth_has(log):
@@ -98,7 +107,7 @@ def test_systematic_errors_are_those_that_the_ground_truth_has(log):
 
     The filter's own standard deviations are 0.015 rad/m and 2.5 %; two of both together, and one.
     """
-    errors = map_landmarks(log, "ekf").estimate.figures["systematic_errors"]
+    errors = mapped(log, "ekf").estimate.figures["systematic_errors"]
     assert abs(errors["turn_per_m"] - {"1": -0.041, "3": -0.075}[log.name[13]]) < 0.04
     assert abs(errors["range_scale"] - 0.025) < 0.025
 

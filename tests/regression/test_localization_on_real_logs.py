@@ -36,7 +36,7 @@ def test_meeting_rooms_tracked(meeting):
     assert max(rmse.values()) < 0.07
 
 
-@pytest.mark.parametrize("seed", [0, 1, 2])
+@pytest.mark.parametrize("seed", [0, 1])
 def test_meeting_rooms_from_nothing(meeting, seed):
     reports = follow(KnownMap(meeting.grid), meeting.measurements, seed)
     errors, driven = metres(reports, meeting.into_map(meeting.truth.poses)), driven_way(meeting.measurements)

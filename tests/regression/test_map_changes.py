@@ -2,12 +2,13 @@
 
 import pytest
 
+from gridslam.config import Configuration
 from map_changes import TARGETS, compare, make_days, score, summarize
 
 
 @pytest.fixture(scope="module")
 def days():
-    return make_days(21)  # of which the benchmark has none
+    return make_days(21, Configuration(particles=3))  # of which the benchmark has none
 
 
 def test_moved_furniture_is_found(days):

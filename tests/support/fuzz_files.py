@@ -16,7 +16,6 @@ import zlib
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import redirect_stderr, redirect_stdout, suppress
 from dataclasses import dataclass
-from functools import partial
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
@@ -242,11 +241,6 @@ def _tables(folder: Path) -> Iterator[Family]:
         f"{1700000000000000000 + 10**8 * k},{x:.6f},{y:.6f},0,{math.cos(t / 2):.9f},0,0,{math.sin(t / 2):.9f},0.1"
         for k, (x, y, t) in enumerate(poses.tolist())
     ]
-    turns = [(math.cos(t), math.sin(t)) for t in poses[:, 2].tolist()]
-    kitti = [
-        f"{c:.9f} {-s:.9f} 0 {x:.6f} {s:.9f} {c:.9f} 0 {y:.6f} 0 0 1 0"
-        for (c, s), (x, y) in zip(turns, poses[:, :2].tolist(), strict=True)
-    ]
     relations = [f"{k}.5 {k + 1}.5 0.5 0.1 0 0 0 0.2" for k in range(20)]
     parameters = (
         "amcl:\n  ros__parameters:\n    max_particles: 2000\n    laser_model_type: likelihood_field\n"
@@ -267,7 +261,6 @@ def _tables(folder: Path) -> Iterator[Family]:
     for name, lines, read in (
         ("a.tum", rows, read_tum),
         ("a.euroc", euroc, read_trajectory),
-        ("a.kitti", kitti, partial(read_trajectory, stamps_ns=np.arange(30))),
         ("a.csv", [header, *table], read_trajectory_csv),
         ("a.relations", relations, read_relations),
         ("a.named", named, read_scans),

@@ -61,7 +61,6 @@ INNER_RANKS = {
     "io": {
         "limits": -1,
         "read_ahead": -1,
-        "staging": -1,
         "measurement": 0,
         "output": 0,
         "text": 0,
@@ -70,7 +69,6 @@ INNER_RANKS = {
         "turned_maps": 1,
         "yaml": 0,
         "datasets": 1,
-        "remote": 2,
         "log_statistics": 1,
         "geojson": 0,
         "edits": 1,

@@ -86,7 +86,6 @@ def perfect(
         stamps,
         np.array([mounting[0], mounting[1], declared_yaw]),
         False,
-        count,
     )
 
 

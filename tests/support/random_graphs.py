@@ -7,9 +7,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from gridslam.geometry.se2 import between, compose
-from gridslam.slam.pose_graph.marginals import Marginals
 from gridslam.slam.pose_graph.pose_graph import PoseGraph
 from gridslam.types import FloatArray
+from support.relative_covariances import squared_innovations
 
 
 @dataclass(frozen=True)
@@ -70,7 +70,7 @@ def with_false_closures(graph: PoseGraph, share: float, rng: np.random.Generator
     edges = np.stack((first, (first + rng.integers(2, poses - 1, spare)) % poses), axis=1)
     z = np.column_stack((rng.normal(0, 1, (spare, 2)), rng.uniform(-np.pi, np.pi, spare)))
     information = graph.information[rng.choice(closures, spare)]
-    wrong = np.flatnonzero(Marginals(graph).squared_innovations(edges, z, information) > 49)[:count]
+    wrong = np.flatnonzero(squared_innovations(graph, edges, z, information) > 49)[:count]
     more = PoseGraph.of(
         graph.poses,
         np.concatenate((graph.edges, edges[wrong])),

@@ -119,15 +119,13 @@ def locate_in(
 ) -> EarlierPieces | None:
     """Return a locator of the robot of a run in pieces: anywhere, or near a pose (3,) at which it begins in the first.
 
-    A run whose floor is known is looked for in the pieces of this floor and in those of none. None without loop
-    closure, without such pieces, and where the run has a state in which the robot was found.
+    None without loop closure, without pieces, and where the run has a state in which the robot was found.
     """
     closure, state = configuration.loop_closure, run.state
     is_found = state is not None and state.closure_state is not None and state.closure_state.joined >= 0
-    here = [piece.piece for piece in pieces if not run.floor or piece.floor in ("", run.floor)]
-    if closure is None or not here or is_found:
+    if closure is None or not pieces or is_found:
         return None
-    return EarlierPieces(here, configuration.mapper, closure.places, begin=pose)
+    return EarlierPieces([piece.piece for piece in pieces], configuration.mapper, closure.places, begin=pose)
 
 
 def begin_new_piece(
@@ -147,7 +145,7 @@ def begin_new_piece(
     pieces = (SavedPiece(full.piece, run.drives), *ended.pieces)
     names = [drive.name for piece in pieces for drive in piece.drives]
     rng = np.random.default_rng(seed + len(names))
-    begun = SavedRun(rng, name=choose_name(run.name, names), floor=run.floor, statistics=run.statistics)
+    begun = SavedRun(rng, name=choose_name(run.name, names), statistics=run.statistics)
     return replace(ended, run=begun, pieces=pieces, locator=locate_in(pieces, configuration, begun))
 
 

@@ -11,11 +11,10 @@ from gridslam.io.log import Log, LogOptions
 from gridslam.io.output import OutputFolder
 
 
-def check_log(log: Log, options: LogOptions, warn: Callable[[str], None], *, is_mapped: bool = False) -> CheckedLog:
+def check_log(log: Log, options: LogOptions, warn: Callable[[str], None]) -> CheckedLog:
     """Wrap a log so that faults at its beginning are reported while it is read, one line each.
 
-    That there is no odometry is no news to who asked for it. Where it is mapped, `map_log` finds where the robot was
-    carried.
+    That there is no odometry is no news to who asked for it.
     """
 
     def report(found: tuple[Finding, ...]) -> None:
@@ -23,7 +22,7 @@ def check_log(log: Log, options: LogOptions, warn: Callable[[str], None], *, is_
             if finding.code != "no_odometry" or not options.no_odometry:
                 warn(describe_finding(log, finding))
 
-    return CheckedLog(log, report, has_breaks=not is_mapped)
+    return CheckedLog(log, report)
 
 
 def describe_finding(log: Log, finding: Finding) -> str:

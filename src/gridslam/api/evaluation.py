@@ -34,8 +34,7 @@ def evaluate_trajectory(
         A file in TUM or EuRoC format.
     reference : str or Path
         True relations if its name ends in .relations; the log that the trajectory is of, in any format, read with the
-        corrections of `map_log`; or else the true trajectory, a file in TUM, EuRoC or KITTI format; one of KITTI has a
-        pose for each of the trajectory.
+        corrections of `map_log`; or else the true trajectory, a file in TUM or EuRoC format.
     distance_m : float, m, > 0
         Path length between the pairs of poses of the RPE.
     is_part : bool
@@ -71,7 +70,7 @@ def _score(estimate: Trajectory, reference: str | Path, distance_m: float, is_pa
     if is_log(reference):
         scans = (scan for _, scan in open_repaired(reference, None, "needed"))
         return {"self_consistency": asdict(measure_self_consistency(estimate, scans))}
-    return score_against_truth(estimate, read_trajectory(reference, estimate.stamps_ns), distance_m)
+    return score_against_truth(estimate, read_trajectory(reference), distance_m)
 
 
 def score_against_truth(estimate: Trajectory, truth: Trajectory, distance_m: float = 1.0) -> dict[str, Any]:

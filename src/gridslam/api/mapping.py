@@ -32,7 +32,6 @@ from gridslam.io.log_statistics import LogStatistics
 from gridslam.io.maps import write_map
 from gridslam.io.measurement import Measurement
 from gridslam.io.output import OutputFolder
-from gridslam.io.remote import find_origin
 from gridslam.io.sessions.drives import Drive, DrivenLog, SavedPiece
 from gridslam.io.sessions.session_file import SavedRun, SavedSession
 from gridslam.io.text import compute_digest
@@ -66,7 +65,7 @@ class FoundAgain:
     Attributes
     ----------
     drives : tuple of str
-        Names of the earlier ones; none if the map was given.
+        Names of the earlier ones.
     stamp_ns : int, ns
         Stamp of the scan at which it was certain.
     way_m : float, m
@@ -582,7 +581,7 @@ def _describe_part(begun: Beginning, log: DrivenLog) -> DrivenLog:
 
 def describe_log(log: Log, digest: str) -> DrivenLog:
     """Describe a log that was read, as a session remembers it."""
-    return DrivenLog.of(find_origin(log.path) or os.fspath(log.path), digest, log.statistics)
+    return DrivenLog.of(os.fspath(log.path), digest, log.statistics)
 
 
 def finish_mapping(
@@ -630,7 +629,7 @@ def finish_mapping(
     if not keep_particles:
         state.closure_state = None
     stopwatch.lap("final refinement")
-    key_stamps_ns = np.zeros(state.ancestry.steps, np.int64)  # of a map that was given key scans have no stamps
+    key_stamps_ns = np.zeros(state.ancestry.steps, np.int64)
     for drive in drives:
         key_stamps_ns[np.unique(drive.scans.keys)] = drive.key_stamps_ns
     stamps_ns = np.concatenate([drive.stamps_ns for drive in drives])

@@ -14,7 +14,6 @@ from gridslam.doctor.repair import Repair, RepairedLog
 from gridslam.io.log import Log
 from gridslam.io.log_statistics import LogStatistics
 from gridslam.io.output import OutputFolder
-from gridslam.io.remote import find_origin
 from gridslam.io.trajectories import write_trajectory_csv, write_tum
 from gridslam.pipeline import Stopwatch, describe_error
 from gridslam.types import FloatArray, Trajectory
@@ -133,9 +132,9 @@ def write_trajectory(out: OutputFolder, trajectory: Trajectory, covariances: Flo
 
 
 def describe_input(source: Path, digest: str, log: LogStatistics, repair: Repair) -> dict[str, Any]:
-    """Part `input` of run.json that all logs of scans have; the path of a copy is the URL that it was read from."""
+    """Part `input` of run.json that all logs of scans have."""
     return {
-        "path": find_origin(source) or os.fspath(source),
+        "path": os.fspath(source),
         "sha256": digest,
         "selection": log.selection,
         "duration_s": log.duration_s,

@@ -29,7 +29,7 @@ from gridslam.errors import ArgumentError
 from gridslam.grid.tiles import TiledGrid
 from gridslam.io.log import LogOptions, LogSource
 from gridslam.io.measurement import Measurement
-from gridslam.io.sessions.drives import Drive, DrivenLog, SavedPiece, choose_name, find_floor
+from gridslam.io.sessions.drives import Drive, DrivenLog, SavedPiece, choose_name
 from gridslam.io.sessions.session_file import SavedRun, SavedSession, read_session, write_session
 from gridslam.slam.full_slam.full_slam import FullSlam, full_slam, refine_piece
 from gridslam.slam.full_slam.full_trajectory import full_trajectories
@@ -49,7 +49,7 @@ class _Map(NamedTuple):
     def prepare(self, configuration: Configuration, *, frozen: bool) -> SavedPiece:
         """Give the piece as a later drive is joined with it: thinned, and frozen if that is wanted."""
         piece = self.piece
-        if frozen and piece.drives:
+        if frozen:
             bent = full_trajectories(piece.piece.poses, piece.tracked_scans) if self.poses is None else self.poses
             piece = piece.freeze(bent)
         return piece.thin(configuration.mapper)
@@ -162,19 +162,11 @@ class Session:
 
     @property
     def names(self) -> list[str]:
-        """A name of each map, in the same order: that of its floor, else of its first drive."""
+        """A name of each map, in the same order: that of its first drive."""
         names: list[str] = []
         for piece in self.pieces:
             names.append(choose_name(piece.name, names))
         return names
-
-    def find_map(self, name: str | None) -> int:
-        """Return the place of the map of a name (see `names`), 0 without one; raises ArgumentError for another name."""
-        if name is None:
-            return 0
-        if name not in self.names:
-            raise ArgumentError("floor", " or ".join(self.names), name)
-        return self.names.index(name)
 
     def add(
         self,
@@ -184,7 +176,6 @@ class Session:
         pose: ArrayLike | None = None,
         frozen: bool = False,
         name: str | None = None,
-        floor: str = "",
         options: LogOptions | None = None,
         repair: Literal["needed", "none"] = "needed",
         **map_options: Any,  # noqa: ANN401 those of map_log
@@ -209,8 +200,6 @@ class Session:
             it. What was frozen once stays so.
         name : str, optional
             Of a new drive; that of the log if not given.
-        floor : str
-            Where the robot is: it is looked for in the map of this floor alone, and in those of none.
         options, repair
             As in `map_log`.
         **map_options
@@ -219,8 +208,7 @@ class Session:
         Raises
         ------
         ArgumentError
-            There is no drive to continue at the same place, it is on another floor, or there is no piece in which the
-            pose could be.
+            There is no drive to continue at the same place, or there is no piece in which the pose could be.
         InputError
             The log cannot be read.
         """
@@ -230,13 +218,8 @@ class Session:
         first = next(iter(source))
         map_options.pop("keep_particles", None)
         name = name or source.path.name.partition(".")[0]
-        run = self._saved.run
-        before = "" if run is None else find_floor(run.drives)
-        is_other = "" not in (floor, before) and floor != before
-        if is_other and where is Place.SAME:
-            raise ArgumentError("floor", f"{before}, on which the robot is at the same place", floor)
-        self._decide(first, Place.ELSEWHERE if begin is not None or frozen or is_other else where)
-        begun = self._begin(first, begin, frozen, name, floor)
+        self._decide(first, Place.ELSEWHERE if begin is not None or frozen else where)
+        begun = self._begin(first, begin, frozen, name)
         result = map_log(
             source,
             configuration=self.configuration,
@@ -257,17 +240,6 @@ class Session:
         if result.map_piece is not None:
             newest = _Map(result.map_piece, result.tiled_map, result.poses_by_drive)
             self._maps = [newest, *(_Map.draw(piece, self.configuration) for piece in result.pieces)]
-
-    def add_map(self, grid: OccupancyGrid) -> None:
-        """Add a known map, such as one of map_server: drives are relocalized in it and extend it.
-
-        Raises ArgumentError where no cell of it is free or none is occupied.
-        """
-        from gridslam.api.prior_map import piece_of_map  # imports what localizes
-
-        piece = SavedPiece(piece_of_map(grid, self.configuration.range_max_m).freeze(), ())
-        self._maps = None
-        self._saved = replace(self._saved, pieces=(*self._saved.pieces, piece))
 
     def merge(self, *others: Session, on_progress: Callable[[], None] = lambda: None) -> FullSlam:
         """Merge other sessions into this one: pieces that show the same places become one map.
@@ -299,12 +271,9 @@ class Session:
             raise ArgumentError("sessions", "one with a drive at least", "empty ones")
         pieces = _name_apart(owned)
         mapper = self.configuration.mapper
-        groups = []
-        for floor in sorted({piece.floor for piece in pieces}):
-            here = [piece for piece in pieces if piece.floor == floor]
-            for group in merge_pieces([piece.piece for piece in here], mapper, closure, on_progress):
-                groups.append(SavedPiece(group.piece, _follow([here[number] for number in group.members])))
-        groups.sort(key=lambda piece: (not piece.drives, -len(piece.piece)))
+        merged = merge_pieces([piece.piece for piece in pieces], mapper, closure, on_progress)
+        groups = [SavedPiece(group.piece, _follow([pieces[number] for number in group.members])) for group in merged]
+        groups.sort(key=lambda piece: -len(piece.piece))
         largest = groups[0]
         full = refine_piece(largest.piece, largest.tracked_scans, mapper, closure, on_progress)
         first = _Map(SavedPiece(full.piece or largest.piece, largest.drives), full.tiled_map, full.poses)
@@ -341,12 +310,11 @@ class Session:
         is_same = self.decision is not None and self.decision.is_same
         self.is_same_place = is_same if place is Place.AUTO else place is Place.SAME
 
-    def _begin(self, first: Measurement, pose: FloatArray | None, frozen: bool, name: str, floor: str) -> Beginning:
+    def _begin(self, first: Measurement, pose: FloatArray | None, frozen: bool, name: str) -> Beginning:
         """Return the beginning of the run of a log."""
         saved = self._saved
         if self.is_same_place and saved.run is not None:
             run = saved.run.snapshot()  # that of the session is kept as it is
-            run = replace(run, floor=run.floor or floor)
             pieces = saved.pieces
             if run.state is not None and self.decision is not None and not self.decision.is_same:
                 restart_at_same_place(run.state, first)
@@ -356,7 +324,7 @@ class Session:
                 raise ArgumentError("pose", "a session in whose map the robot can begin", "an empty one")
             drives = [drive.name for drive in saved.drives]
             rng = np.random.default_rng(saved.seed + len(drives))
-            run = SavedRun(rng, name=choose_name(name, drives), floor=floor)
+            run = SavedRun(rng, name=choose_name(name, drives))
         return Beginning(run, pieces, locate_in(pieces, self.configuration, run, pose))
 
     def _refine(self) -> list[_Map]:
@@ -387,10 +355,9 @@ def _require_different_logs(sessions: Sequence[Session]) -> None:
 
 def _order(piece: SavedPiece) -> tuple[Any, ...]:
     """Return the sort key of a piece, so that results do not depend on the order in which pieces are given."""
-    stamps = piece.stamps_ns
-    first = int(stamps[0]) if len(stamps) else -1
+    first = int(piece.stamps_ns[0])
     logs = [(log.sha256, log.path) for drive in piece.drives for log in drive.logs]
-    return not piece.drives, first, -len(piece.piece), logs, piece.piece.poses.tobytes()
+    return first, -len(piece.piece), logs, piece.piece.poses.tobytes()
 
 
 def _name_apart(pieces: Sequence[SavedPiece]) -> list[SavedPiece]:

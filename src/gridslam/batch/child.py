@@ -19,7 +19,7 @@ from typing import Any, Final, NamedTuple
 
 from gridslam.batch.job import Job
 from gridslam.batch.journal import COLUMNS
-from gridslam.io.staging import remove_abandoned
+from gridslam.io.output import remove_abandoned
 
 PROGRAM: Final = (sys.executable, "-X", "faulthandler", "-m", "gridslam")
 _LOOK_S = 0.05
@@ -79,9 +79,8 @@ def run_job(job: Job, out: Path, stopped: threading.Event, *, timeout_s: float |
     if document is not None:
         costs = {"cpu_s": document.get("time", {}).get("cpu_s"), "peak_memory_bytes": document.get("peak_memory_bytes")}
         return row | costs | {"status": "done", "document": document}
-    with suppress(OSError):
-        remove_abandoned(out)
-        remove_abandoned(folder)  # which is there where an earlier run of it has ended
+    for where in (out, folder):  # the latter is there where an earlier run of it has ended
+        remove_abandoned(where, job.folder)
     error, message = _name_failure(end, timeout_s)
     return row | {"error": error, "message": message}
 

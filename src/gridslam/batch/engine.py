@@ -15,7 +15,7 @@ from gridslam.batch.child import run_job
 from gridslam.batch.job import Job
 from gridslam.batch.journal import Journal, read_rows
 from gridslam.errors import ArgumentError, OutputError
-from gridslam.io.staging import remove_abandoned
+from gridslam.io.output import remove_abandoned
 
 try:
     import fcntl

@@ -22,7 +22,7 @@ class Job:
     words : tuple of str
         The command line after `gridslam`, without ``--out`` and ``--json``.
     log : str
-        Path or URL of the log as the user gave it.
+        Path of the log as the user gave it.
     folder : str
         Name of the job's folder below OUT, unique in a batch.
     key : str

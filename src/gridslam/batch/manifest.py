@@ -13,8 +13,7 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Final, final
 
-from gridslam.errors import GridslamError, InputError
-from gridslam.io.remote import is_url, list_files, mask_url
+from gridslam.errors import InputError
 from gridslam.io.text import read_text
 
 COLUMNS: Final = ("log", "name", "reference")
@@ -37,9 +36,9 @@ class Entry:
     Attributes
     ----------
     log : str
-        Path or URL as the user gave it, without credentials.
+        Path as the user gave it.
     path : str
-        The same, absolute, with them.
+        The same, absolute.
     name : str
         Name of the folder of its results, unique in the batch.
     reference : str or None
@@ -48,8 +47,6 @@ class Entry:
         Options of the command by their long names without dashes, from a manifest.
     where : str
         Line of the manifest, for messages; empty for others.
-    state : str, optional
-        What the server reported of the log when it was listed (see `describe_remote`).
     """
 
     log: str
@@ -58,7 +55,6 @@ class Entry:
     reference: str | None = None
     options: dict[str, str] = field(default_factory=dict)
     where: str = ""
-    state: str | None = None
 
 
 def find_logs(patterns: Sequence[str], *, reference: str | None = None) -> list[Entry]:
@@ -70,9 +66,8 @@ def find_logs(patterns: Sequence[str], *, reference: str | None = None) -> list[
     ----------
     patterns : sequence of str
         Each a file, a folder (all logs below it; the folder of a ROS 2 bag is one log), a pattern (``*``, ``?``,
-        ``[...]``, ``**``), a URL (of a log, of a pattern, or a folder, with a slash at its end), or a manifest: a CSV
-        with a column ``log`` and optionally ``name``, ``reference`` and options of the command. Paths in a manifest are
-        relative to its folder.
+        ``[...]``, ``**``), or a manifest: a CSV with a column ``log`` and optionally ``name``, ``reference`` and
+        options of the command. Paths in a manifest are relative to its folder.
     reference : str, optional
         Path of the reference of each log, with ``{name}`` (its name), ``{stem}`` (its file's without suffixes) and
         ``{parent}`` (its folder's).
@@ -92,9 +87,7 @@ def _expand(pattern: str) -> Iterator[Entry]:
     path = Path(pattern)
     if not pattern:
         raise InputError(pattern, "expected a path, got an empty string")
-    if is_url(pattern):
-        yield from _expand_url(pattern)
-    elif os.path.isdir(path) and not (path / "metadata.yaml").exists():
+    if os.path.isdir(path) and not (path / "metadata.yaml").exists():
         found = list(_walk(path))
         if not found:
             raise InputError(path, "no logs in this folder")
@@ -109,23 +102,6 @@ def _expand(pattern: str) -> Iterator[Entry]:
             yield from _expand(name)
     else:  # one that is absent, or has an impossible name, is a row with an error
         yield _make_entry(pattern)
-
-
-def _expand_url(pattern: str) -> Iterator[Entry]:
-    """Yield the logs at URLs: the matches of a pattern, or the files below a folder (its URL ends in a slash)."""
-    wild = "*" in pattern or "[" in pattern
-    if not wild and not pattern.endswith("/"):
-        yield Entry(mask_url(pattern), pattern)
-        return
-    try:
-        listed = list_files(pattern)
-    except GridslamError:  # its job reports it, and the other logs are not lost
-        yield Entry(mask_url(pattern), pattern)
-        return
-    found = {url: state for url, state in listed.items() if wild or _strip(url)[1] in _SUFFIXES}
-    if not found:
-        raise InputError(mask_url(pattern), "nothing matches this pattern" if wild else "no logs below this URL")
-    yield from (Entry(mask_url(url), url, state=state) for url, state in found.items())
 
 
 def _make_entry(path: str) -> Entry:
@@ -196,8 +172,8 @@ def _read_line(path: Path, line: int, given: dict[str, str]) -> Entry:
         raise InputError(path, f"{expected}, got {name!r}", line)
     reference = given.pop("reference", None)
     return Entry(
-        mask_url(log),
-        log if is_url(log) else os.path.abspath(path.parent / log),
+        log,
+        os.path.abspath(path.parent / log),
         name,
         None if reference is None else os.path.abspath(path.parent / reference),
         given,
@@ -224,8 +200,8 @@ def _name_all(entries: Sequence[Entry]) -> list[Entry]:
 
 
 def _list_names(entry: Entry) -> list[str]:
-    """Possible names of a log, from the shortest on; a URL has no query in them."""
-    path = entry.log.partition("?")[0] if is_url(entry.path) else entry.path
+    """Possible names of a log, from the shortest on."""
+    path = entry.path
     parts = [part for part in path.replace("\\", "/").split("/") if part and not part.endswith(":")]
     *above, last = parts or ["log"]
     stem = _strip(last)[0].lstrip(".") or "log"

@@ -8,7 +8,6 @@ from typing import Any
 
 import numpy as np
 
-from gridslam.cli.options import name_option
 from gridslam.cli.output import open_output, print_result, warn
 from gridslam.errors import InputError
 from gridslam.io.maps import write_map
@@ -21,13 +20,10 @@ _LEAST_SHARE = 0.3
 """Of a map's surfaces that must lie on the plan: people draw less than a laser sees."""
 
 
-def align_to_folder(
-    source: Path, floor: str | None, plan: Path, out: Path, unit_m: float | None, as_json: bool
-) -> None:
+def align_to_folder(source: Path, plan: Path, out: Path, unit_m: float | None, as_json: bool) -> None:
     """Align a map with a plan, write it to a folder and print a summary."""
     with open_output(out, _NAMES) as folder:
-        with name_option(floor="--floor"):
-            given = read_source(source, warn, floor)
+        given = read_source(source, warn)
         moved, is_drawn = given.surfaces, plan.suffix.lower() in SUFFIXES
         if is_drawn:
             fixed = read_drawn_plan(plan, unit_m)

@@ -8,7 +8,7 @@ import time
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
-from functools import cache, partial
+from functools import cache
 from pathlib import Path
 from typing import Any, Literal, final
 
@@ -27,7 +27,6 @@ from gridslam.errors import ConfigurationError, GridslamError, InputError, Outpu
 from gridslam.io.limits import max_memory_bytes
 from gridslam.io.log import LogOptions
 from gridslam.io.maps import read_map_description
-from gridslam.io.remote import describe_remote, is_url, mask_url
 from gridslam.io.text import measure_size
 from gridslam.parameters import to_table
 
@@ -203,8 +202,7 @@ _PARSERS = {"map": _read_map, "doctor": _read_doctor, "localize": _read_localize
 
 
 def _make_jobs(command: str, prepared: Sequence[tuple[Entry, tuple[str, ...], Mapping[str, Any]]]) -> list[Job]:
-    listed = {entry.path: entry.state for entry, _, _ in prepared if entry.state is not None}
-    describe = cache(partial(_describe, listed))
+    describe = cache(_describe)
     find_image = cache(_find_image)
     jobs = []
     for entry, words, values in prepared:
@@ -226,9 +224,9 @@ def make_scoring(reference: str, options: Mapping[str, Any]) -> tuple[str, ...]:
 
 
 def _measure(path: str) -> int:
-    """Size of a log, if it is there and not at a URL."""
+    """Size of a log, if it is there."""
     with suppress(Exception):  # whatever is wrong with one log, its job reports it
-        return 0 if is_url(path) else measure_size(Path(path))
+        return measure_size(Path(path))
     return 0
 
 
@@ -239,14 +237,12 @@ def _find_image(path: str) -> str:
     return path
 
 
-def _describe(listed: Mapping[str, str], path: str) -> str:
-    """Return size and time of modification of a file, or of all in a folder; of one at a URL as its server reports it.
+def _describe(path: str) -> str:
+    """Return size and time of modification of a file, or of all in a folder.
 
     Of one that cannot be read nothing is known, and its job reports it.
     """
     with suppress(Exception):
-        if is_url(path):
-            return f"{mask_url(path)} {listed.get(path) or describe_remote(path)}"
         files = sorted(Path(path).rglob("*")) if os.path.isdir(path) else [Path(path)]
         return " ".join(f"{file.stat().st_size} {file.stat().st_mtime_ns} {file.name}" for file in files)
     return ""

@@ -67,10 +67,8 @@ def _report_failure(error: BaseException) -> int:
 
 
 def _report_bug(error: BaseException) -> int:
-    """Print the traceback of an unexpected exception, without credentials in URLs, and ask to report it."""
-    from gridslam.io.remote import mask_urls
-
-    click.echo(mask_urls("".join(traceback.format_exception(error))), nl=False, err=True)
+    """Print the traceback of an unexpected exception, and ask to report it."""
+    click.echo("".join(traceback.format_exception(error)), nl=False, err=True)
     return _print_error(f"this is a bug of gridslam {__version__}, please report it with the lines above", EXIT_BUG)
 
 

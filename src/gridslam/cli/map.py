@@ -11,7 +11,7 @@ from gridslam.api.diagnosis import check_log, describe_finding
 from gridslam.api.mapping import MapResult, map_log
 from gridslam.cli import STARTED_S
 from gridslam.cli.live import NOBODY, Viewers, open_viewers
-from gridslam.cli.options import MapOptions, name_option
+from gridslam.cli.options import MapOptions
 from gridslam.cli.output import counted, open_output, open_progress, print_result
 from gridslam.cli.session_options import SessionOptions
 from gridslam.io.log import Log, open_log
@@ -38,11 +38,10 @@ def map_to_folder(
     def report(text: str) -> None:
         viewers.report(text)
 
-    source = check_log(open_log(log, given.options), given.options, report, is_mapped=True)
-    with (
-        open_viewers(live, source.path.name, configuration.range_max_m, out=out, has_history=not no_history) as viewers,
-        name_option(floor="--floor"),
-    ):
+    source = check_log(open_log(log, given.options), given.options, report)
+    with open_viewers(
+        live, source.path.name, configuration.range_max_m, out=out, has_history=not no_history
+    ) as viewers:
         with open_output(out, MapResult.all_names()) as folder:
             if opened is None:
                 run = partial(map_log, configuration=configuration, seed=given.seed, threads=given.threads)
@@ -115,10 +114,9 @@ def _summarize_pieces(result: MapResult, out: Path) -> Iterator[str]:
     """Format where the robot was relocalized, and the pieces that stay apart."""
     found = result.found_again
     if found is not None and found.stamp_ns >= (result.log.first_stamp_ns or 0):  # else in an earlier log
-        where = f"the map of {', '.join(found.drives)}" if found.drives else "the given map"
-        yield f"relocalized in {where} after {found.way_m:.1f} m"
+        yield f"relocalized in the map of {', '.join(found.drives)} after {found.way_m:.1f} m"
     elif found is None and result.pieces:
-        apart = "; ".join(", ".join(drive.name for drive in piece.drives) or "given map" for piece in result.pieces)
+        apart = "; ".join(", ".join(drive.name for drive in piece.drives) for piece in result.pieces)
         pieces = counted(len(result.pieces), "earlier piece")
         yield f"not found in {pieces} ({apart}), which stay apart: map_2.yaml, ..."
     if len(result.trajectories) > 1:

@@ -16,12 +16,12 @@ from gridslam.cli.output import counted, open_output, print_result, warn
 from gridslam.io.edited_maps import apply_edits, check_edits, compute_image_digest
 from gridslam.io.edits import Edits, read_edits, write_edits
 from gridslam.io.maps import read_map, write_map
-from gridslam.plan.masks import Mask, describe_filters, make_keepout_mask, make_speed_mask, write_mask
+from gridslam.plan.masks import Mask, make_keepout_mask, make_speed_mask, write_mask
 from gridslam.types import OccupancyGrid
 
 _NAMES = (
     "map.yaml", "map.pgm", "keepout_mask.yaml", "keepout_mask.pgm", "speed_mask.yaml", "speed_mask.pgm",
-    "nav2_filters.yaml", "edits.geojson", "mask.json"
+    "edits.geojson", "mask.json"
 )  # fmt: skip
 
 
@@ -47,8 +47,6 @@ def mask_to_folder(
         write_map(folder.file("map.yaml"), edited)
         for name, mask in masks.items():
             write_mask(folder.file(f"{name}_mask.yaml"), mask, grid)
-        if masks:
-            folder.file("nav2_filters.yaml").write_text(describe_filters(masks), encoding="utf-8")
         write_edits(folder.file("edits.geojson"), drawn)
         document = _describe(map_yaml, edits, drawn, masks, grid, edited)
         folder.write_json("mask.json", document)
@@ -90,5 +88,3 @@ def _summarize(document: dict[str, Any], out: Path) -> Iterator[str]:
     yield f"map, {document['changed_cells']} cells changed: {out / 'map.yaml'}"
     for name, mask in document["masks"].items():
         yield f"{name} mask, {mask['area_m2']:.1f} m\u00b2: {out / f'{name}_mask.yaml'}"
-    if document["masks"]:
-        yield f"parameters of nav2: {out / 'nav2_filters.yaml'}"

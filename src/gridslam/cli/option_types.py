@@ -9,7 +9,7 @@ import errno
 import math
 import os
 from pathlib import Path
-from typing import Any, Final, final
+from typing import Any, Final
 
 import click
 
@@ -53,27 +53,14 @@ class _Path(click.Path):
     def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:  # noqa: ANN401
         if value == "":
             self.fail("expected a path, got an empty string", param, ctx)
+        if isinstance(value, str) and "://" in value:
+            self.fail("expected a path on this machine, got a URL: download it first", param, ctx)
         try:
             os.stat(value)
         except (OSError, ValueError) as error:  # one that is absent is reported by who reads it
             if not isinstance(error, OSError) or error.errno in (errno.ENAMETOOLONG, errno.ELOOP):
                 problem = getattr(error, "strerror", None) or error
                 self.fail(f"expected a path, got one that no file can have: {problem}", param, ctx)
-        return super().convert(value, param, ctx)
-
-
-@final
-class _Log(_Path):
-    """The path of a log; one at a URL is copied into the cache first, and the path is that of the copy."""
-
-    name = "path or URL"
-
-    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:  # noqa: ANN401
-        if _may_be_url(value):
-            from gridslam.io.remote import fetch, is_url
-
-            if is_url(value):
-                return fetch(value)
         return super().convert(value, param, ctx)
 
 
@@ -86,8 +73,6 @@ class _Target(_Path):
     is_folder = False
 
     def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:  # noqa: ANN401
-        if _may_be_url(value):
-            self.fail("expected a path on this machine, got a URL", param, ctx)
         path: Path = super().convert(value, param, ctx)
         from gridslam.io.output import require_writable
 
@@ -104,12 +89,8 @@ class _TargetFolder(_Target):
     is_folder = True
 
 
-def _may_be_url(value: object) -> bool:
-    return isinstance(value, str) and "://" in value
-
-
 PATH = _Path()
-LOG = _Log()
+LOG = PATH
 OUT = OUTPUT_FOLDER = _TargetFolder()
 OUTPUT_FILE = _Target()
 SECONDS = Number(max=_MOST_S)

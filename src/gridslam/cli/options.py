@@ -259,22 +259,6 @@ def evaluate_options(command: _Command) -> _Command:
     return add_options(command, _EVALUATE_OPTIONS)  # type: ignore[return-value]
 
 
-def _read_floor(ctx: click.Context, param: click.Parameter, name: str | None) -> str:
-    """Read the name of a floor, which is used in file names."""
-    if not name:
-        return ""
-    from gridslam.io.sessions.drives import require_floor
-
-    with name_option(floor="--floor"):
-        return require_floor(name)
-
-
-floor_option = click.option(
-    "--floor",
-    callback=_read_floor,
-    metavar="NAME",
-    help="Floor on which the robot is; what is mapped is not joined with the maps of other floors.",
-)
 _MAP_OPTIONS = (
     click.option("--particles", type=int, help="Number of particles.  [default: the preset's, 30]"),
     seed_option,
@@ -304,15 +288,8 @@ _SESSION_OPTIONS = (
         "--frozen", is_flag=True, help="What the session has mapped stays where it is; LOG is aligned with it."
     ),
     click.option("--name", metavar="NAME", help="Name of the drive, such as the robot's.  [default: that of LOG]"),
-    floor_option,
-    click.option(
-        "--prior",
-        type=PATH,
-        metavar="YAML",
-        help="Known map (map_server) to relocalize in and to extend.",
-    ),
 )
-_SESSION_FIELDS = ("save", "continued", "same_place", "elsewhere", "pose", "frozen", "name", "floor", "prior")
+_SESSION_FIELDS = ("save", "continued", "same_place", "elsewhere", "pose", "frozen", "name")
 _LOCALIZE_OPTIONS = (
     click.option("--map", "map_path", type=PATH, required=True, help="Map YAML file (map_server or nav2)."),
     click.option(

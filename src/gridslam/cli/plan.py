@@ -9,7 +9,6 @@ from typing import Any
 
 import numpy as np
 
-from gridslam.cli.options import name_option
 from gridslam.cli.output import counted, open_output, print_result, warn
 from gridslam.errors import InputError
 from gridslam.plan.alignment import Alignment, align_points
@@ -27,15 +26,13 @@ _LEAST_SHARE = 0.3
 
 def plan_to_folder(
     source: Path,
-    floor: str | None,
     out: Path,
     scale: int,
     as_json: bool,
 ) -> None:
     """Make a floor plan, write it to a folder and print a summary."""
     with open_output(out, _NAMES) as folder:
-        with name_option(floor="--floor"):
-            given = read_source(source, warn, floor)
+        given = read_source(source, warn)
         plan = make_plan(given.grid, given.points, given.path)
         plan = replace(plan, rooms=name_rooms(plan.rooms, given.names))
         if not plan.walls:
@@ -84,11 +81,10 @@ def _summarize(plan: FloorPlan, document: dict[str, Any], out: Path) -> Iterator
     yield f"for other programs: {out / 'plan.geojson'}"
 
 
-def changes_to_folder(first: Path, second: Path, floor: str | None, out: Path, same_frame: bool, as_json: bool) -> None:
+def changes_to_folder(first: Path, second: Path, out: Path, same_frame: bool, as_json: bool) -> None:
     """Find the changes between two maps, write them to a folder and print a summary."""
     with open_output(out, _CHANGES_NAMES) as folder:
-        with name_option(floor="--floor"):
-            maps = [read_source(path, warn, floor) for path in (first, second)]
+        maps = [read_source(path, warn) for path in (first, second)]
         points = [given.surfaces for given in maps]
         for path, found in zip((first, second), points, strict=True):
             if not len(found):

@@ -13,12 +13,8 @@ from click.core import ParameterSource
 from gridslam.api.beginning import Place
 from gridslam.api.mapping import MapResult
 from gridslam.api.session import Session
-from gridslam.cli.output import warn
 from gridslam.config import Configuration
-from gridslam.errors import ArgumentError
 from gridslam.io.log import Log
-from gridslam.io.maps import read_map
-from gridslam.io.sessions.drives import find_floor
 
 _OF_THE_SESSION = ("particles", "seed", "preset", "laser", "config", "assignments", "no_loop_closure")
 """Parameters of `gridslam map` that a session has already."""
@@ -41,10 +37,6 @@ class SessionOptions:
         Whether what the session has mapped stays where it is.
     name : str or None
         Of the drive.
-    floor : str
-        On which the log is; empty where it is not known.
-    prior : Path or None
-        YAML file of a known map.
     """
 
     save: Path | None
@@ -54,24 +46,19 @@ class SessionOptions:
     pose: tuple[float, float, float] | None
     frozen: bool
     name: str | None
-    floor: str
-    prior: Path | None
 
     def check(self, context: click.Context) -> None:
         """Raise click.UsageError where options contradict each other."""
         if self.same_place and (self.elsewhere or self.pose is not None):
             raise click.UsageError("--same-place contradicts --elsewhere and --pose")
-        known = self.continued is not None or self.prior is not None
         for given, option in (
             (self.same_place, "--same-place"),
             (self.elsewhere, "--elsewhere"),
             (self.pose is not None, "--pose"),
             (self.frozen, "--frozen"),
         ):
-            if given and not known:
-                raise click.UsageError(f"{option} needs --continue or --prior")
-        if self.floor and self.continued is None and self.save is None:
-            raise click.UsageError("--floor needs --save or --continue")
+            if given and self.continued is None:
+                raise click.UsageError(f"{option} needs --continue")
         if self.continued is None:
             return
         for parameter in context.command.params:
@@ -83,30 +70,19 @@ class SessionOptions:
     def open(self, configuration: Configuration, seed: int, threads: int) -> Session | None:
         """Give the session that the log is added to; None if none is wanted."""
         if self.continued is not None:
-            session = Session.open(self.continued, threads=threads)
-        elif self.save is None and self.prior is None:
-            return None
-        else:
-            session = Session(configuration, seed=seed, threads=threads)
-        if self.prior is not None:
-            try:
-                session.add_map(read_map(self.prior, on_remark=lambda remark: warn(f"{self.prior}: {remark}")))
-            except ArgumentError as error:
-                raise click.ClickException(f"{self.prior}: {error}") from None
-        return session
+            return Session.open(self.continued, threads=threads)
+        return None if self.save is None else Session(configuration, seed=seed, threads=threads)
 
     def add(self, session: Session, log: Log, **options: Any) -> MapResult:  # noqa: ANN401
         """Add a log to a session."""
         place = Place.SAME if self.same_place else Place.ELSEWHERE if self.elsewhere else Place.AUTO
-        where = {"place": place, "pose": self.pose, "frozen": self.frozen, "name": self.name, "floor": self.floor}
+        where = {"place": place, "pose": self.pose, "frozen": self.frozen, "name": self.name}
         return session.add(log, **where, **options)  # type: ignore[arg-type]
 
     def summarize(self, session: Session | None, result: MapResult) -> Iterator[str]:
         """Format the lines that a session adds to the summary of a run."""
         if session is None:
             return
-        if session.saved.run is not None and (floor := find_floor(session.saved.run.drives)):
-            yield f"floor: {floor}"
         if session.decision is not None:
             where = "continues where the session ended" if session.is_same_place else "begins elsewhere"
             forced = " (forced)" if session.is_same_place != session.decision.is_same else ""

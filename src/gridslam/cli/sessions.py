@@ -45,15 +45,14 @@ def show_session(file: Path, out: Path | None, as_json: bool) -> None:
 
 
 def _of_run(run: dict[str, Any]) -> list[dict[str, Any]]:
-    return [*run["earlier"], {name: run.get(name, "") for name in ("name", "floor", "logs")}]
+    return [*run["earlier"], {name: run[name] for name in ("name", "logs")}]
 
 
 def _name_maps(groups: list[list[dict[str, Any]]]) -> list[str]:
     """Names of maps by their drives, as `Session.names` has them."""
     names: list[str] = []
     for drives in groups:
-        floors = [drive["floor"] for drive in drives if drive.get("floor")]
-        names.append(choose_name([*floors, *(drive["name"] for drive in drives), "given"][0], names))
+        names.append(choose_name(drives[0]["name"], names))
     return names
 
 
@@ -78,7 +77,7 @@ def _describe(content: dict[str, Any]) -> Iterator[str]:
         what = (
             f"the map, {content['maps'][0]}" if len(pieces) == 1 else f"piece {number}, {content['maps'][number - 1]}"
         )
-        yield f"{what}: {len(piece)} drive{'s' * (len(piece) != 1)}" if piece else f"{what}: a given map"
+        yield f"{what}: {len(piece)} drive{'s' * (len(piece) != 1)}"
         for drive in piece:
             for log in drive["logs"]:
                 digest = f", SHA-256 {log['sha256'][:12]}" if log["sha256"] else ""
@@ -98,21 +97,8 @@ def merge_to_folder(files: tuple[Path, ...], out: Path, save: Path | None, threa
         result.session.save(save)  # where that fails the results are there
     print_result(document, _summarize_merge(result, out, save), as_json)
     if not result.is_joined:
-        warn(f"nothing was joined: {_explain_apart(result)}")
+        warn("nothing was joined: the sessions have nothing in common")
         raise click.exceptions.Exit(1)
-
-
-def _explain_apart(result: MergeResult) -> str:
-    """Explain why nothing was joined: maps of one floor are compared, those of others, and of none, are not."""
-    if len({piece.floor for piece in result.session.pieces}) == 1:
-        return "the sessions have nothing in common"
-    floors = ", ".join(f"{', '.join(drives)} on {floor or 'no floor'}" for floor, drives in _list_floors(result))
-    return f"maps are compared within a floor: {floors}"
-
-
-def _list_floors(result: MergeResult) -> Iterator[tuple[str, list[str]]]:
-    for piece in result.session.pieces:
-        yield piece.floor, [drive.name for drive in piece.drives] or ["the given map"]
 
 
 def _summarize_merge(result: MergeResult, out: Path, save: Path | None) -> Iterator[str]:

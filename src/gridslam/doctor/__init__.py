@@ -1,7 +1,6 @@
 """Log diagnosis: content and faults; docs/doctor.md lists every finding."""
 
 from gridslam.doctor.diagnose import (
-    BreakCheck,
     CheckedLog,
     Diagnosis,
     Doctor,
@@ -12,7 +11,6 @@ from gridslam.doctor.finding import Finding, Severity
 from gridslam.doctor.repair import Repair, RepairedLog
 
 __all__ = [
-    "BreakCheck",
     "CheckedLog",
     "Diagnosis",
     "Doctor",

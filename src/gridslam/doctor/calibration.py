@@ -21,12 +21,11 @@ from typing import NamedTuple, final
 
 import numpy as np
 
-from gridslam.doctor.intervals import Intervals, cumulative_headings, differences, interpolate_odometry, intervals
+from gridslam.doctor.intervals import Intervals, cumulative_headings, interpolate_odometry, intervals
 from gridslam.doctor.laser_motion import LaserMotion
 from gridslam.doctor.mirrored_odometry import Mirrored, contradicts_its_heading, unmirror_odometry
-from gridslam.doctor.odometry import is_jump
 from gridslam.geometry.angles import wrap
-from gridslam.geometry.se2 import adjoint, between, compose
+from gridslam.geometry.se2 import adjoint
 from gridslam.types import FloatArray
 
 _FEWEST = 8  # intervals
@@ -41,10 +40,11 @@ _TURNS = (1.5, 1.0, 2.0)  # long enough for odometry that comes late to catch up
 _LAGS_S = np.arange(-1.0, 1.001, 0.05)
 _UNEVEN = 0.6  # a pair of neighbours is farther apart than the usual by at most this share, or yields no turn rate
 _BACKWARD = 0.01  # with a greater share of stamps that go backward, no skew can be estimated
+_RATE_OVER_S = 0.3  # a turn rate is the turn over so long
 _JITTER_S = 0.005  # of stamps, and what interpolation between them costs
 
 _WAYS = (0.5, 0.6, 2.0)
-_SCALE_FLOOR = 0.002  # scan matching itself: see `laser_odometry`
+_SCALE_FLOOR = 0.002  # scan matching itself
 
 _SURE_OF_SIGN = 0.6  # correlation of the turns
 _STEP_M = 0.1  # of odometry: shorter ways have no direction
@@ -57,9 +57,6 @@ _FEWEST_TURNS = 12  # from scan to scan, of more than
 _LEAST_TURN_RAD = 0.01  # which is most of a rad if it is read as degrees
 _AGREE = 0.6  # mean cosine of differences of turns
 _HARDLY_AGREE = 0.8
-
-_FEW_JUMPS = 3  # of the odometry, or this share of the scans: where more jump the odometry is wrong throughout
-_FEW_JUMPS_SHARE = 0.003
 
 _CAUCHY = 2.385  # 95 % efficient for normal noise
 _PASSES = 15
@@ -135,6 +132,8 @@ class MotionCalibration:
 
     Attributes
     ----------
+    motion : LaserMotion
+        What it was made from.
     reflected : bool
         The beams are read in the wrong direction: laser and odometry turn opposite ways.
     agreement : float
@@ -148,10 +147,8 @@ class MotionCalibration:
         How far the laser is turned to the left beyond what the log declares, in [-pi, pi).
     skew_s : ParameterEstimate, s
         How late scans are stamped on the odometry's clock.
-    laser_m, laser_rad, odometry_m, odometry_rad : float
+    laser_m, laser_rad, odometry_rad : float
         Way and turns of both, over the intervals that could be compared.
-    mounting : (3,) float64
-        Pose of the laser as declared.
     mirrored : "", "heading" or "path"
         What of the odometry has the wrong sign, because its path contradicts its headings; all else is as without it.
     yaw_improves : bool
@@ -162,6 +159,7 @@ class MotionCalibration:
         Whether the laser could be followed: its track was hardly ever lost.
     """
 
+    motion: LaserMotion
     reflected: bool
     agreement: float
     scale: ParameterEstimate
@@ -171,9 +169,7 @@ class MotionCalibration:
     skew_s: ParameterEstimate
     laser_m: float
     laser_rad: float
-    odometry_m: float
     odometry_rad: float
-    mounting: FloatArray
     mirrored: Mirrored = ""
     yaw_improves: bool = False
     headings_in_degrees: bool = False
@@ -189,10 +185,8 @@ class MotionCalibration:
 def calibrate(motion: LaserMotion) -> MotionCalibration:
     """Compare a laser's motion with its odometry; estimates that the log does not determine are marked.
 
-    Where the odometry's path contradicts its headings, the laser's turns decide which of the two is mirrored. Where it
-    jumps, as one that is reset, it counts as standing still.
+    Where the odometry's path contradicts its headings, the laser's turns decide which of the two is mirrored.
     """
-    motion = replace(motion, odometry=_leave_out_jumps(motion))
     turns = _fit_turns(motion)
     mirrored: Mirrored = ""
     if abs(turns.agreement) > _SURE_OF_SIGN and contradicts_its_heading(motion.odometry):
@@ -209,6 +203,7 @@ def calibrate(motion: LaserMotion) -> MotionCalibration:
     turn_drift = turns.drift
     drift = ParameterEstimate(scale.value * turn_drift.value, scale.value * turn_drift.sigma, turn_drift.determined)
     return MotionCalibration(
+        motion,
         reflected,
         turns.agreement,
         scale,
@@ -218,30 +213,12 @@ def calibrate(motion: LaserMotion) -> MotionCalibration:
         turns.skew,
         float(np.hypot(laser[:, 0], laser[:, 1]).sum()),
         float(np.abs(laser[:, 2]).sum()),
-        float(np.hypot(ways.odometry[:, 0], ways.odometry[:, 1]).sum()),
         float(np.abs(ways.odometry[:, 2]).sum()),
-        motion.mounting,
         mirrored,
         _improves(reported, predicted, yaw.value),
         are_degrees(*(np.diff(poses[:, 2])[np.diff(motion.tracks) == 0] for poses in (motion.odometry, motion.poses))),
         len(motion) >= 2 and int(motion.tracks[-1]) < max(3, _CONFUSED * len(motion)),
     )
-
-
-def _leave_out_jumps(motion: LaserMotion) -> FloatArray:
-    """Return the odometry (K, 3) as if the robot had stood still in each jump, unless there are many jumps."""
-    steps = between(motion.odometry[:-1], motion.odometry[1:])
-    seconds = np.diff(motion.odometry_stamps_ns) * 1e-9
-    moved = zip(
-        np.hypot(steps[:, 0], steps[:, 1]).tolist(), np.abs(steps[:, 2]).tolist(), seconds.tolist(), strict=True
-    )
-    jumps = [index for index, step in enumerate(moved) if is_jump(*step)]
-    if not jumps or len(jumps) > max(_FEW_JUMPS, _FEW_JUMPS_SHARE * len(motion)):
-        return motion.odometry
-    odometry = motion.odometry.copy()
-    for index in jumps:
-        odometry[index + 1 :] = compose(odometry[index], between(odometry[index + 1], odometry[index + 1 :]))
-    return odometry
 
 
 def are_degrees(odometry: FloatArray, laser: FloatArray) -> bool:
@@ -379,7 +356,10 @@ def _best_lag(motion: LaserMotion, lags_s: FloatArray) -> tuple[float, float]:
 
 def _rates(motion: LaserMotion) -> FloatArray:
     """Turn rates (K,) of the laser, rad/s, by differences over about 0.3 s; NaN where stamps are uneven."""
-    apart, passed, turned = differences(motion)
+    times = np.maximum.accumulate((motion.stamps_ns - motion.stamps_ns[:1]) * 1e-9)
+    headings = cumulative_headings(motion.poses)
+    apart = max(1, round(_RATE_OVER_S / 2 / max(float(np.median(np.diff(times))), 1e-3)))
+    passed, turned = (values[2 * apart :] - values[: -2 * apart] for values in (times, headings))
     rates = np.full(len(motion), np.nan)
     even = np.abs(passed / max(float(np.median(passed)), 1e-9) - 1) < _UNEVEN if len(passed) else passed > 0
     rates[apart:-apart] = np.where(even, turned / np.maximum(passed, 1e-3), np.nan)

@@ -4,17 +4,18 @@ from __future__ import annotations
 
 import math
 from collections import defaultdict
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping, Set
 from dataclasses import dataclass, field
 from functools import partial
-from html import escape
 from pathlib import Path
 from typing import Any, final
 
 from gridslam.checked import checked
+from gridslam.doctor.calibration import calibrate
 from gridslam.doctor.finding import Finding, Severity
-from gridslam.doctor.lasers import BeamStatistics, Mounting, field_of_view_rad, mounting_findings, planar_mounting
-from gridslam.doctor.motion_findings import MotionExaminer
+from gridslam.doctor.laser_motion import LaserMotionEstimator
+from gridslam.doctor.lasers import BeamStatistics, Mounting, field_of_view_rad, planar_mounting
+from gridslam.doctor.motion_findings import motion_findings
 from gridslam.doctor.odometry import OdometryExaminer
 from gridslam.doctor.range_checks import RangeExaminer
 from gridslam.doctor.range_limits import RangeCounts
@@ -32,26 +33,21 @@ _QUICK_SCANS = 300
 """How much `EarlyCheck` looks at: 0.1 ms a scan and 30 ms in all, where the shortest map takes a second."""
 _FEWEST_SCANS = 30  # that it looks at: of stamps in ms there is hardly one in a minute
 
+_WHEELS = {"odometry_scale", "odometry_rotation_bias", "odometry_drift"}
 _ONLY_WHOLE = ("standing_still", "robot_carried")
 _OF_READER_AT_ONCE = ("missing_files", "missing_transform", "clock_skew")
 _REPORTED_ELSEWHERE = ("unreadable",)
-_MISMOUNTED = ("tilting_laser", "laser_far_away")
+_NO_REFERENCE = (
+    "tilting_laser", "laser_far_away", "single_object", "range_units", "laser_frozen", "random_ranges"
+)  # fmt: skip
 _OF_TWO_CLOCKS = ("odometry_unrelated", "no_odometry")
-_OF_ODOMETRY = ("odometry_scale", "odometry_rotation_bias", "odometry_drift", "odometry_unrelated")
+_OF_ODOMETRY = (*_WHEELS, "odometry_unrelated", "odometry_frozen")
+_OTHER_UNIT = 9.0  # of a scale that is off: inches, centimetres or millimetres
 _CONSEQUENCES = {
-    ("random_ranges", Severity.ERROR): ("odometry_frozen",),  # they change while the robot stands
-    ("range_limits", Severity.ERROR): _OF_ODOMETRY,  # false walls move with the robot, and hold the laser's motion back
-    ("odometry_frozen", Severity.ERROR): _OF_ODOMETRY,
-    ("odometry_units", Severity.WARNING): (*_OF_ODOMETRY, "odometry_jumps", "fast_turning"),
+    "odometry_frozen": ("standing_still",),
+    "odometry_units": ("odometry_jumps",),
+    "random_ranges": ("odometry_frozen",),  # they change while the robot stands
 }
-"""Consequences of a fault of this severity, which are not reported beside it; of a laser's those of another are."""
-
-
-def _follows(finding: Finding, cause: Finding) -> bool:
-    """Return whether a finding is a consequence: of the odometry, or of the same laser."""
-    is_of_all = cause.code.startswith("odometry_") or not finding.sensor
-    is_named = finding.code in _CONSEQUENCES[cause.code, cause.severity]
-    return is_named and (is_of_all or finding.sensor == cause.sensor)
 
 
 @final
@@ -84,11 +80,6 @@ class Diagnosis:
         """Return one line."""
         codes = ", ".join(finding.code for finding in self.faults[:5]) + ", ..." * (len(self.faults) > 5)
         return f"Diagnosis({self.path.name}: {self.worst.value}; {len(self.faults)} faults{': ' * bool(codes)}{codes})"
-
-    def _repr_html_(self) -> str:
-        """Show the findings in a notebook."""
-        rows = "".join(f"<li>{each.severity.value}: {escape(each.message)}</li>" for each in self.findings)
-        return f"<p>{escape(self.path.name)}: {self.worst.value}</p><ul>{rows}</ul>"
 
     @property
     def faults(self) -> tuple[Finding, ...]:
@@ -126,6 +117,11 @@ class _Laser:
         self.examiner.take(measurement)
         self.mounting.take(scan.geometry)
         self.breaks.take(measurement)
+
+    def findings(self, sensor: str) -> Iterator[Finding]:
+        """Yield the findings of all checks but for where the robot was carried."""
+        for check in (self.stamps, self.beams, self.examiner, self.ranges, self.mounting):
+            yield from check.findings(sensor)
 
     def facts(self) -> dict[str, Any]:
         """Return facts about the laser as JSON values; unknown or unlimited values are None."""
@@ -175,42 +171,53 @@ class Doctor:
         """Begin with nothing seen."""
         self._lasers: defaultdict[str, _Laser] = defaultdict(_Laser)
         self._odometry = OdometryExaminer()
-        self._motion = MotionExaminer() if matching else None
+        self._matching = matching
+        self._motion: defaultdict[str, LaserMotionEstimator] = defaultdict(LaserMotionEstimator)
 
     def take(self, measurement: Measurement) -> None:
         """Look at the next measurement."""
         self._lasers[measurement.scan.sensor].take(measurement)
         self._odometry.take(measurement)
-        if self._motion is not None:
-            self._motion.take(measurement)
+        if self._matching:
+            self._motion[measurement.scan.sensor].add(measurement)
 
     def findings(self) -> Iterator[Finding]:
-        """Yield the findings so far, without those that follow from others."""
-        found = list(self._examine())
-        causes = [finding for finding in found if (finding.code, finding.severity) in _CONSEQUENCES]
-        yield from (finding for finding in found if not any(_follows(finding, cause) for cause in causes))
-
-    def _examine(self) -> Iterator[Finding]:
-        """Yield the findings of each check; a laser that tilts, sees a person or has wrong ranges is no reference."""
+        """Yield the findings so far; a laser that tilts, sees a person or has wrong ranges is no reference."""
+        found = [finding for sensor, laser in self._lasers.items() for finding in laser.findings(sensor)]
+        yield from found
+        no_reference = {finding.sensor for finding in found if finding.code in _NO_REFERENCE}
+        held_back = {f.sensor for f in found if (f.code, f.severity) == ("range_limits", Severity.ERROR)}
         for sensor, laser in self._lasers.items():
-            yield from laser.stamps.findings(sensor)
-        of_beams = [found for sensor, laser in self._lasers.items() for found in laser.beams.findings(sensor)]
-        yield from of_beams
-        implausible = [found for sensor, laser in self._lasers.items() for found in laser.examiner.findings(sensor)]
-        yield from implausible
-        of_limits = [found for sensor, laser in self._lasers.items() for found in laser.ranges.findings(sensor)]
-        yield from of_limits
-        mounted = list(mounting_findings({sensor: laser.mounting for sensor, laser in self._lasers.items()}))
-        yield from mounted
-        yield from self._odometry.findings()
-        no_reference = {finding.sensor for finding in mounted if finding.code in _MISMOUNTED}
-        no_reference |= {finding.sensor for finding in of_beams if finding.code == "single_object"}
-        no_reference |= {finding.sensor for finding in implausible}
-        held_back = {finding.sensor for finding in of_limits if finding.severity is Severity.ERROR}
-        for sensor in set(self._lasers) - no_reference:
-            yield from self._lasers[sensor].breaks.findings(sensor)
-        matched = [] if self._motion is None else list(self._motion.findings(no_reference | held_back))
-        yield from (finding for finding in matched if finding.sensor not in no_reference)
+            yield from laser.breaks.findings(sensor) if sensor not in no_reference else ()
+        moved = list(self._compare_motion(no_reference, held_back))
+        follows = {of for finding in (*found, *moved) for of in _CONSEQUENCES.get(finding.code, ())}
+        if any(finding.code == "odometry_scale" and (finding.size or 0) > _OTHER_UNIT for finding in moved):
+            follows.add("odometry_jumps")
+        driven = [finding for finding in self._odometry.findings() if finding.code not in follows]
+        if any(finding.code == "odometry_frozen" for finding in driven):
+            moved = [finding for finding in moved if finding.code not in _OF_ODOMETRY]
+        yield from (*moved, *driven)
+
+    def _compare_motion(self, no_reference: Set[str], held_back: Set[str]) -> Iterator[Finding]:
+        """Compare the motion of each laser with odometry and mounting.
+
+        Faults of the wheels are reported once, if all lasers agree: one that leaves a bare corridor backward may see
+        the robot stand still. False walls, which move with the robot, hold the motion of a laser back.
+        """
+        reported, agreeing = [], []
+        for sensor in [sensor for sensor in self._motion if sensor not in no_reference]:
+            calibration = calibrate(self._motion[sensor].motion)
+            found = motion_findings(calibration)
+            if sensor in held_back:
+                reported += [finding for finding in found if finding.code not in _OF_ODOMETRY]
+            elif found or calibration.scale.determined:
+                reported += found
+                agreeing.append({finding.code for finding in found})
+        agreed = _WHEELS.intersection(*agreeing) if agreeing else set()
+        for finding in reported:
+            if finding.code in agreed or finding.code not in _WHEELS:
+                yield finding
+                agreed.discard(finding.code)
 
     def diagnosis(self, log: Log, findings: Iterable[Finding]) -> Diagnosis:
         """Put findings and facts together."""
@@ -317,25 +324,8 @@ class EarlyCheck:
 
 @final
 @checked
-class BreakCheck:
-    """Checks the scans of all lasers, one after the other, for where the robot was carried (see `ViewBreaks`)."""
-
-    def __init__(self) -> None:
-        """Begin with nothing seen."""
-        self._breaks: defaultdict[str, ViewBreaks] = defaultdict(ViewBreaks)
-
-    def take(self, measurement: Measurement) -> tuple[Finding, ...]:
-        """Look at the next measurement; return the finding that is certain from here on, with all before."""
-        sensor = measurement.scan.sensor
-        return tuple(self._breaks[sensor].findings(sensor)) if self._breaks[sensor].take(measurement) else ()
-
-
-@final
-@checked
 class CheckedLog:
-    """A log that is checked while it is read: its begin by `EarlyCheck`, and where the robot was carried to its end.
-
-    What its reader met is reported, too.
+    """Log with a check of its beginning, by `EarlyCheck`, and a report of its reader's findings.
 
     Parameters
     ----------
@@ -344,18 +334,13 @@ class CheckedLog:
     on_findings : callable
         Gets findings that are more than information, as soon as they are certain; each once, however often the log is
         read.
-    has_breaks : bool
-        Whether it is looked where the robot was carried, too; `map_log` does that itself.
     """
 
-    def __init__(
-        self, log: Log, on_findings: Callable[[tuple[Finding, ...]], None], *, has_breaks: bool = True
-    ) -> None:
+    def __init__(self, log: Log, on_findings: Callable[[tuple[Finding, ...]], None]) -> None:
         """Nothing is read before the iteration."""
         self._log = log
         self._on_findings = on_findings
         self._check = EarlyCheck()
-        self._breaks = BreakCheck() if has_breaks else None
         self._checked = 0
         self._has_failed = False
         self._faults: dict[str, str] = {}
@@ -375,7 +360,7 @@ class CheckedLog:
     def __iter__(self) -> Iterator[Measurement]:
         """Read the log from its start."""
         for count, measurement in enumerate(self._log, 1):
-            if count > self._checked and not (self._breaks is None and self._check.is_complete):
+            if count > self._checked and not self._check.is_complete:
                 self._checked = count
                 self._report(partial(self._take, measurement))
             yield measurement
@@ -383,11 +368,10 @@ class CheckedLog:
         self._report(self._of_reader)
 
     def _take(self, measurement: Measurement) -> tuple[Finding, ...]:
-        was_over = self._check.is_complete
-        found = list(self._check.take(measurement))
-        if self._check.is_complete and not was_over:
-            found += (finding for finding in self._of_reader() if finding.code in _OF_READER_AT_ONCE)
-        return (*found, *(() if self._breaks is None else self._breaks.take(measurement)))
+        found = self._check.take(measurement)
+        if not self._check.is_complete:
+            return found
+        return (*found, *(finding for finding in self._of_reader() if finding.code in _OF_READER_AT_ONCE))
 
     def _of_reader(self) -> tuple[Finding, ...]:
         """Warnings of the reader that were not reported."""

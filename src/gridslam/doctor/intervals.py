@@ -17,7 +17,6 @@ from gridslam.types import FloatArray, IntArray
 _LONGEST_S = 3.0
 _LEAST_SHARE = 0.5
 _MOVED = 0.03  # m, and rad: an interval with less motion holds no information
-_RATE_OVER_S = 0.3  # a turn rate is the turn over so long
 
 
 @final
@@ -85,23 +84,6 @@ def intervals(motion: LaserMotion, odometry: FloatArray, reach: tuple[float, flo
 def cumulative_headings(poses: FloatArray) -> FloatArray:
     """Unwrap the headings (K,) of poses (K, 3); values that are not finite count as no rotation."""
     return np.concatenate([[0.0], np.cumsum(np.nan_to_num(wrap(np.diff(poses[:, 2]))))])
-
-
-def turn_rates(motion: LaserMotion) -> FloatArray:
-    """Turn rates (K,) of the laser, rad/s, by differences over about 0.3 s; 0 at the ends."""
-    apart, passed, turned = differences(motion)
-    same = motion.tracks[2 * apart :] == motion.tracks[: -2 * apart]
-    rates = np.zeros(len(motion))
-    rates[apart:-apart] = np.where(same & (passed > 0), turned / np.maximum(passed, 1e-3), 0.0)
-    return rates
-
-
-def differences(motion: LaserMotion) -> tuple[int, FloatArray, FloatArray]:
-    """Number of scans in half of 0.3 s; and the seconds and turns from as many before each scan to as many after."""
-    times = np.maximum.accumulate(motion.seconds)
-    headings = cumulative_headings(motion.poses)
-    apart = max(1, round(_RATE_OVER_S / 2 / max(float(np.median(np.diff(times))), 1e-3)))
-    return apart, times[2 * apart :] - times[: -2 * apart], headings[2 * apart :] - headings[: -2 * apart]
 
 
 def interpolate_odometry(motion: LaserMotion, seconds: float) -> FloatArray:

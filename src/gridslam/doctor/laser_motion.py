@@ -19,8 +19,7 @@ from gridslam.types import FloatArray, IntArray, LaserScan, ScanGeometry
 _MOST_BEAMS = 360
 RANGES_M = (0.05, 30.0)
 _FEWEST_BEAMS = 20
-_STRETCH = 500  # scans that are matched, or skipped, together
-_WHOLE_STRETCHES = 40  # segments matched without a gap; of later ones fewer and fewer
+_MOST_SCANS = 20_000  # matched: a quarter of an hour at 20 Hz shows what is wrong
 _BEAM_SIGMA_M = 0.06  # of a beam against the local map, correlation of neighbours included
 _FLOOR_M = 0.004  # what the grid of the map costs, and
 _FLOOR_RAD = 0.001
@@ -55,8 +54,6 @@ class LaserMotion:
         Pose of the laser in the base frame as the log declares it, [x m, y m, yaw rad].
     upside_down : bool
         Whether the log declares that the laser's z axis points downwards.
-    scans : int
-        Of this laser in the log, matched or not.
     """
 
     sensor: str
@@ -69,16 +66,10 @@ class LaserMotion:
     odometry_stamps_ns: IntArray
     mounting: FloatArray
     upside_down: bool
-    scans: int
 
     def __len__(self) -> int:
         """Return the number of matched scans K."""
         return len(self.stamps_ns)
-
-    @property
-    def seconds(self) -> FloatArray:
-        """Times (K,) of the poses since the first, s."""
-        return np.asarray((self.stamps_ns - self.stamps_ns[:1]) * 1e-9, np.float64)
 
 
 @final
@@ -86,8 +77,7 @@ class LaserMotion:
 class LaserMotionEstimator:
     """Processes the scans of one laser; `motion` is available at any time.
 
-    The cost is bounded: beams are thinned to 360 and scans to 20 Hz, and of a log of more than 20000 such scans the
-    later ones are matched in stretches of 500 that become rare as it grows.
+    The cost is bounded: beams are thinned to 360 and scans to 20 Hz, and 20,000 such scans are matched.
 
     Parameters
     ----------
@@ -103,8 +93,6 @@ class LaserMotionEstimator:
     _directions: FloatArray = field(default_factory=lambda: np.zeros((0, 2)))
     _first: ScanGeometry | None = None
     _sensor: str = ""
-    _scans: int = 0
-    _thinned: int = 0
     _last_ns: int = 0
     _passed_over: bool = True
 
@@ -115,13 +103,8 @@ class LaserMotionEstimator:
     def add(self, measurement: Measurement) -> None:
         """Take the next scan and its odometry."""
         odometry, scan = measurement
-        self._scans += 1
-        if self._stamps and 0 <= scan.stamp_ns - self._last_ns < 1e9 / self.rate_hz:
-            return
-        stretch = self._thinned // _STRETCH
-        self._thinned += 1
-        if stretch >= _WHOLE_STRETCHES and stretch % (2 ** int(math.log2(stretch / _WHOLE_STRETCHES) + 1)):
-            self._passed_over = True
+        is_early = self._stamps and 0 <= scan.stamp_ns - self._last_ns < 1e9 / self.rate_hz
+        if is_early or len(self) >= _MOST_SCANS:
             return
         ends, beams = self._ends(scan)
         if len(ends) < _FEWEST_BEAMS:
@@ -170,7 +153,6 @@ class LaserMotionEstimator:
             stamps[:, 1],
             planar_mounting(geometry),
             bool(geometry.base_from_laser[2, 2] < 0),
-            self._scans,
         )
 
 

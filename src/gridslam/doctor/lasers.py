@@ -4,14 +4,13 @@ from __future__ import annotations
 
 import math
 from collections import Counter
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from dataclasses import dataclass, field
 from typing import final
 
 import numpy as np
 
 from gridslam.doctor.finding import Finding, Severity, percent
-from gridslam.geometry.angles import wrap
 from gridslam.types import BeamStatus, FloatArray, LaserScan, ScanGeometry
 
 _MANY_LOST = 0.1  # ratio of beams lost by ones and twos: the pose's spread grows by 5 %; healthy: some thousandths
@@ -22,7 +21,6 @@ _OFTEN = 0.1  # share of scans with few hits from which on the map has holes; an
 _TILTS_RAD = math.radians(1.0)  # vibration of a stiff mount stays below it; a laser that is made to tilt does not
 _STEEP_RAD = math.radians(30.0)  # from level: what is seen is no floor plan
 _FAR_M = 5.0  # from the base: beyond any robot
-_SAME = 1e-3  # m, and rad: two lasers that are no farther apart are in one place
 
 
 def field_of_view_rad(bearings: FloatArray) -> float:
@@ -188,13 +186,9 @@ class Mounting:
         """Angle between the laser's axis and the vertical, whichever way up it is."""
         return math.acos(min(1.0, abs(float(self.geometry.base_from_laser[2, 2]))))
 
-
-def mounting_findings(lasers: Mapping[str, Mounting]) -> Iterator[Finding]:
-    """Yield several_lasers, laser_far_away and tilting_laser, by the mountings of all lasers."""
-    if len(lasers) > 1:
-        yield _several(lasers)
-    for sensor, laser in lasers.items():
-        away_m = float(np.hypot(*planar_mounting(laser.geometry)[:2]))
+    def findings(self, sensor: str) -> Iterator[Finding]:
+        """Yield laser_far_away and tilting_laser for the laser of that name."""
+        away_m = float(np.hypot(*planar_mounting(self.geometry)[:2]))
         if away_m > _FAR_M:
             yield Finding(
                 "laser_far_away",
@@ -206,46 +200,25 @@ def mounting_findings(lasers: Mapping[str, Mounting]) -> Iterator[Finding]:
                 "State the mounting in metres, as a transform from the robot's base to the laser.",
                 sensor,
             )
-        if laser.amplitude_rad > _TILTS_RAD:
+        if self.amplitude_rad > _TILTS_RAD:
             yield Finding(
                 "tilting_laser",
                 Severity.ERROR,
-                f"The laser tilts by {math.degrees(laser.amplitude_rad):.1f} degrees to either side while it scans: "
+                f"The laser tilts by {math.degrees(self.amplitude_rad):.1f} degrees to either side while it scans: "
                 "this is a log of a 3D sensor, not of a level one.",
-                laser.amplitude_rad,
+                self.amplitude_rad,
                 "rad",
                 "Hold the laser level and record again, or choose another laser with --scan.",
                 sensor,
             )
-        elif laser.tilt_rad > _STEEP_RAD:
+        elif self.tilt_rad > _STEEP_RAD:
             yield Finding(
                 "tilting_laser",
                 Severity.ERROR,
-                f"The laser is mounted {math.degrees(laser.tilt_rad):.1f} degrees from level, as in the optical frame "
+                f"The laser is mounted {math.degrees(self.tilt_rad):.1f} degrees from level, as in the optical frame "
                 "of a camera: its scans show no floor plan.",
-                laser.tilt_rad,
+                self.tilt_rad,
                 "rad",
                 "State the frame of the scan itself: x ahead, z up, the beams in the plane of x and y.",
                 sensor,
             )
-
-
-def _several(lasers: Mapping[str, Mounting]) -> Finding:
-    poses = np.array([planar_mounting(laser.geometry) for laser in lasers.values()])
-    away = poses[1:] - poses[0]
-    same = ((np.hypot(away[:, 0], away[:, 1]) < _SAME) & (np.abs(wrap(away[:, 2])) < _SAME)).any()
-    reported = "; ".join(
-        f"{sensor} at x {x:.2f} m, y {y:.2f} m, yaw {math.degrees(yaw):.0f} degrees"
-        for sensor, (x, y, yaw) in zip(lasers, poses.tolist(), strict=True)
-    )
-    message = f"There are {len(poses)} lasers, whose scans are taken in turn: {reported}."
-    if not same:
-        return Finding("several_lasers", Severity.INFO, message, len(poses), "lasers")
-    return Finding(
-        "several_lasers",
-        Severity.WARNING,
-        f"{message} Two cannot be in one place: a mounting is missing.",
-        len(poses),
-        "lasers",
-        "State the mounting of each laser (a static transform to the base), or choose one laser with --scan.",
-    )

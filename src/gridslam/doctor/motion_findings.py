@@ -3,22 +3,11 @@
 from __future__ import annotations
 
 import math
-from collections import defaultdict
-from collections.abc import Collection, Iterator
-from dataclasses import dataclass, field
-from typing import final
+from collections.abc import Iterator
 
-import numpy as np
-
-from gridslam.doctor.calibration import MotionCalibration, calibrate
+from gridslam.doctor.calibration import MotionCalibration
 from gridslam.doctor.finding import Finding, Severity
-from gridslam.doctor.intervals import turn_rates
-from gridslam.doctor.laser_motion import LaserMotion, LaserMotionEstimator
 from gridslam.doctor.range_units import UNITS
-from gridslam.io.measurement import Measurement
-
-_OF_WHEELS = {"odometry_scale", "odometry_rotation_bias", "odometry_drift"}
-_SMEAR_RAD = 0.02  # over a scan: 10 cm at 5 m, two cells
 
 # Differences from which on they are reported, and are more than information. Wheel odometry errs by a percent or
 # two on every robot and matching compensates for it; larger errors can be measured and corrected.
@@ -27,6 +16,7 @@ _SCALE = 0.02
 _REPORTED_TURN_SCALE = 0.015
 _TURN_SCALE = 0.025
 _REPORTED_DRIFT = 0.006
+_FROZEN = 0.01  # scale of odometry that hardly moves
 _NO_TURN = 0.05  # turn scale of a heading that is not computed
 _SAME_UNIT = 0.06  # of a scale: wheels err by some percent besides
 _DRIFT = 0.01  # rad/m: half a degree a metre
@@ -34,101 +24,30 @@ _YAW = 0.06  # rad: 6 % of the way sideways
 _YAW_SPOILS = 0.35  # rad: from 20 degrees on matching begins too far off
 _SKEW = 0.014  # s: at 1 rad/s it moves what odometry alone would draw at 4 m by a cell
 _SKEW_HARMS_S = 0.3
-_SKEW_HARMS_RAD = 0.5
 """Matching corrects smaller errors: the maps of Intel, ACES and six simulated drives at about 1 rad/s had the same
 errors with skews of up to 1 s, six drives at 3 rad/s with 0.1 s; with 0.3 s two of these six were lost."""
-_FASTEST = 0.998  # quantile of the turn rates: the greatest but for single wrong matches
 _SKEW_SIGMAS = 3.0
 _OPPOSITE = -0.6  # correlation of the turns
 _TURNED_RAD = 1.2  # one corner suffices
 
 
-@final
-@dataclass(slots=True)
-class _Laser:
-    """One laser: its motion, and the time that its latest scan took, s; NaN where no beam has a time."""
-
-    estimator: LaserMotionEstimator = field(default_factory=LaserMotionEstimator)
-    sweep_s: float = math.nan
-
-    def take(self, measurement: Measurement) -> None:
-        self.estimator.add(measurement)
-        times = measurement.scan.beam_times_s
-        if times is not None and len(times):
-            self.sweep_s = float(np.ptp(times))
-
-    def findings(self) -> list[Finding] | None:
-        """Findings of this laser; None if its motion is not reliable."""
-        motion = self.estimator.motion
-        if len(motion) < 2:
-            return None
-        calibration = calibrate(motion)
-        found = [*_skewed(motion, self.sweep_s), *motion_findings(motion, calibration)]
-        return found if found or calibration.scale.determined else None
-
-
-def _skewed(motion: LaserMotion, sweep_s: float) -> Iterator[Finding]:
-    """Yield how far the robot turns while a scan is taken, where that would bend walls."""
-    fast = float(np.quantile(np.abs(turn_rates(motion)), _FASTEST))
-    size = fast * sweep_s
-    if size >= _SMEAR_RAD:
-        message = (
-            f"A scan takes {1e3 * sweep_s:.0f} ms, in which the robot turns by up to {size:.2f} rad ({fast:.1f} "
-            "rad/s); each beam has its time, and the scans are deskewed."
-        )
-        yield Finding("skewed_while_turning", Severity.INFO, message, size, "rad", "", motion.sensor)
-
-
-@final
-class MotionExaminer:
-    """Finds skewed_while_turning, and the `motion_findings` of each laser."""
-
-    def __init__(self) -> None:
-        """Begin with no laser seen."""
-        self._lasers: defaultdict[str, _Laser] = defaultdict(_Laser)
-
-    def take(self, measurement: Measurement) -> None:
-        """Match the next scan to those before it of the same laser."""
-        self._lasers[measurement.scan.sensor].take(measurement)
-
-    def findings(self, no_reference: Collection[str] = ()) -> Iterator[Finding]:
-        """Yield the findings of each laser; those on the wheels once, if all lasers agree but for some."""
-        reported = [
-            (sensor, found) for sensor, laser in self._lasers.items() if (found := laser.findings()) is not None
-        ]
-        # A laser that leaves a bare corridor backward may see the robot stand still.
-        heard = [{finding.code for finding in found} for sensor, found in reported if sensor not in no_reference]
-        agreed = _OF_WHEELS.intersection(*heard) if heard else frozenset()
-        for sensor, found in reported:
-            for finding in found:
-                if finding.code not in _OF_WHEELS:
-                    yield finding
-                elif finding.code in agreed and sensor not in no_reference:
-                    yield finding
-                    agreed -= {finding.code}
-
-
-def motion_findings(motion: LaserMotion, calibration: MotionCalibration | None = None) -> list[Finding]:
+def motion_findings(found: MotionCalibration) -> list[Finding]:
     """Return the findings on mounting, clock and odometry, by the motion of one laser.
 
     A fault is reported only if it is larger than what every robot has, and than four standard deviations of its
-    estimate.
-    Reads `calibration` where that of `motion` is known already. Codes: reflected_laser, odometry_mirrored, yaw_offset,
-    clock_skew, odometry_scale, odometry_rotation_bias, odometry_drift, odometry_unrelated, odometry_units.
+    estimate. Codes: reflected_laser, odometry_mirrored, yaw_offset, clock_skew, odometry_scale,
+    odometry_rotation_bias, odometry_drift, odometry_frozen, odometry_unrelated, odometry_units.
     """
-    if len(motion) < 2:
-        return []
-    found = calibration or calibrate(motion)
     if not found.is_reliable:
         return []
     if found.headings_in_degrees:
-        return [_in_degrees(motion)]
+        return [_in_degrees(found)]
     if found.is_unrelated:
-        return [_unrelated(motion, found)]
-    return [*_laser_findings(motion, found), *_odometry_findings(motion, found)]
+        return [_unrelated(found)]
+    return [*_laser_findings(found), *_odometry_findings(found)]
 
 
-def _unrelated(motion: LaserMotion, found: MotionCalibration) -> Finding:
+def _unrelated(found: MotionCalibration) -> Finding:
     return Finding(
         "odometry_unrelated",
         Severity.ERROR,
@@ -137,11 +56,11 @@ def _unrelated(motion: LaserMotion, found: MotionCalibration) -> Finding:
         found.agreement,
         "1",
         "Choose the odometry's topic, or map with --no-odometry.",
-        motion.sensor,
+        found.motion.sensor,
     )
 
 
-def _in_degrees(motion: LaserMotion) -> Finding:
+def _in_degrees(found: MotionCalibration) -> Finding:
     return Finding(
         "odometry_units",
         Severity.WARNING,
@@ -149,18 +68,18 @@ def _in_degrees(motion: LaserMotion) -> Finding:
         math.degrees(1.0),
         "rad/rad",
         "Convert the headings to rad where the odometry is computed; map with --no-odometry until then.",
-        motion.sensor,
+        found.motion.sensor,
     )
 
 
-def _laser_findings(motion: LaserMotion, found: MotionCalibration) -> Iterator[Finding]:
+def _laser_findings(found: MotionCalibration) -> Iterator[Finding]:
     """Yield direction, yaw and clock of the laser."""
     if found.mirrored:
-        yield _mirrored(motion, found)
+        yield _mirrored(found)
     if found.agreement < _OPPOSITE and found.laser_rad >= _TURNED_RAD:
         cause = (
             "the log declares the laser upside-down, and its beams come in the order of an upright one"
-            if motion.upside_down
+            if found.motion.upside_down
             else "its beams run clockwise, or it is mounted upside-down, contrary to the log"
         )
         yield Finding(
@@ -175,12 +94,12 @@ def _laser_findings(motion: LaserMotion, found: MotionCalibration) -> Iterator[F
             "Drive a left bend. If the odometry's heading grows the laser is mirrored: reverse the signs of angle_min, "
             "angle_max and angle_increment, or mount it upside-down in /tf_static. If it falls left and right wheels "
             "are swapped; until that is repaired map with --no-odometry.",
-            motion.sensor,
+            found.motion.sensor,
         )
     yaw = found.yaw_rad
     if yaw.differs(0.0, _YAW):
         degrees = math.degrees(yaw.value)
-        declared = math.degrees(found.mounting[2])
+        declared = math.degrees(found.motion.mounting[2])
         yield Finding(
             "yaw_offset",
             Severity.ERROR if abs(yaw.value) > _YAW_SPOILS else Severity.WARNING,
@@ -189,29 +108,28 @@ def _laser_findings(motion: LaserMotion, found: MotionCalibration) -> Iterator[F
             yaw.value,
             "rad",
             f"Set the yaw of the laser's mounting to {declared + degrees:.1f} degrees.",
-            motion.sensor,
+            found.motion.sensor,
         )
     skew = found.skew_s
     if skew.differs(0.0, _SKEW, _SKEW_SIGMAS):
         milliseconds = 1e3 * skew.value
         late = "late" if skew.value > 0 else "early"
-        wrong_rad = abs(skew.value) * float(np.quantile(np.abs(turn_rates(motion)), _FASTEST))
-        harms = abs(skew.value) > _SKEW_HARMS_S or wrong_rad > _SKEW_HARMS_RAD
+        harms = abs(skew.value) > _SKEW_HARMS_S
         yield Finding(
             "clock_skew",
             Severity.WARNING if harms else Severity.INFO,
             f"Scans are {abs(milliseconds):.0f} +- {1e3 * skew.sigma:.0f} ms {late} against odometry: the measured "
             f"turns agree when the scans' stamps are moved by {-milliseconds:+.0f} ms, or those of the odometry by "
-            f"{milliseconds:+.0f} ms; the log does not determine which of the two is wrong. In turns the odometry errs "
-            f"by up to {wrong_rad:.2f} rad{'' if harms else ', which matching compensates'}.",
+            f"{milliseconds:+.0f} ms; the log does not determine which of the two is wrong"
+            f"{'' if harms else ', and matching compensates it'}.",
             skew.value,
             "s",
             "Stamp both when they are measured, by one clock." if harms else "",
-            motion.sensor,
+            found.motion.sensor,
         )
 
 
-def _mirrored(motion: LaserMotion, found: MotionCalibration) -> Finding:
+def _mirrored(found: MotionCalibration) -> Finding:
     wrong, right, remedy = (
         ("headings have", "path", "Reverse the sign of the yaw where the odometry is computed")
         if found.mirrored == "heading"
@@ -225,24 +143,35 @@ def _mirrored(motion: LaserMotion, found: MotionCalibration) -> Finding:
         1.0,
         "yes or no",
         f"{remedy}; mapping corrects it.",
-        motion.sensor,
+        found.motion.sensor,
     )
 
 
-def _odometry_findings(motion: LaserMotion, found: MotionCalibration) -> Iterator[Finding]:
-    """Systematic errors of the odometry."""
+def _odometry_findings(found: MotionCalibration) -> Iterator[Finding]:
+    """Yield the errors of the odometry: it stands still, or errs systematically."""
     scale = found.scale
+    if scale.determined and scale.value < _FROZEN:
+        yield Finding(
+            "odometry_frozen",
+            Severity.ERROR,
+            f"Odometry stands still while the laser moves by {found.laser_m:.0f} m: it is frozen.",
+            found.laser_m,
+            "m",
+            "Look for what stops odometry on the robot; map with --no-odometry until then.",
+            found.motion.sensor,
+        )
+        return
     if scale.differs(1.0, _REPORTED_SCALE):
         percent = 100 * (scale.value - 1)
         yield Finding(
             "odometry_scale",
             Severity.WARNING if scale.differs(1.0, _SCALE) else Severity.INFO,
             f"Odometry reports {abs(percent):.1f} +- {100 * scale.sigma:.1f} % {_more(percent)} distance than the "
-            f"laser measures, over {found.laser_m:.0f} m.",
+            f"laser measures, over {found.laser_m:.0f} m{_name_unit(scale.value)}.",
             scale.value - 1,
             "m/m",
-            f"Divide the odometry's distances (the wheels' diameter) by {scale.value:.3f}{name_unit(scale.value)}.",
-            motion.sensor,
+            f"Divide the odometry's distances (the wheels' diameter) by {scale.value:.3f}.",
+            found.motion.sensor,
         )
     turn = found.turn_scale
     if turn.differs(1.0, _REPORTED_TURN_SCALE):
@@ -257,7 +186,7 @@ def _odometry_findings(motion: LaserMotion, found: MotionCalibration) -> Iterato
             f"Multiply the distance between the wheels by {turn.value:.3f}."
             if abs(turn.value) > _NO_TURN
             else "Compute the heading of the odometry: it stays the same while the robot turns.",
-            motion.sensor,
+            found.motion.sensor,
         )
     drift = found.drift_rad_per_m
     if drift.differs(0.0, _REPORTED_DRIFT):
@@ -270,11 +199,11 @@ def _odometry_findings(motion: LaserMotion, found: MotionCalibration) -> Iterato
             drift.value,
             "rad/m",
             f"Make the {_side(-degrees)} wheel's diameter in the odometry smaller until it is gone.",
-            motion.sensor,
+            found.motion.sensor,
         )
 
 
-def name_unit(scale: float) -> str:
+def _name_unit(scale: float) -> str:
     """Name the unit of odometry or ranges that explains a scale, as the end of a sentence; empty where none does."""
     for name, of_a_metre in UNITS.items():
         for what, factor in (("it is", scale / of_a_metre), ("the ranges are", scale * of_a_metre)):

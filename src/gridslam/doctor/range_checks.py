@@ -10,14 +10,14 @@ from typing import final
 import numpy as np
 from numpy.typing import NDArray
 
-from gridslam.doctor.finding import Finding, Severity
+from gridslam.doctor.finding import Finding, Severity, percent
 from gridslam.doctor.range_units import RangeSizes, measured_beams
 from gridslam.io.measurement import Measurement
 from gridslam.types import BeamStatus, FloatArray, LaserScan
 
 _FROZEN_M = 1.0  # of odometry: a laser with noise never sees the same so long
 _FROZEN_RAD = 0.5
-_FROZEN_SHARE = 0.1  # of the metres or radians: from here on the map is unusable
+_FROZEN_SHARE = 0.1  # of the way: from here on the map is unusable
 
 _SAMPLED = 25  # scans whose ranges are looked at one by one; and then
 _RARE = 32  # one of as many
@@ -31,16 +31,16 @@ _UNRELATED = 0.8  # of that spread: random ranges have 1, and walls some hundred
 @final
 @dataclass(slots=True)
 class _FrozenScans:
-    """Runs of scans that are identical to the last bit over 1 m or 0.5 rad of odometry and more."""
+    """Runs of scans that are identical to the last bit over 1 m or 0.5 rad of odometry and more.
 
-    metres: float = 0.0
-    radians: float = 0.0
-    frozen_m: float = 0.0
-    frozen_rad: float = 0.0
+    `way` and `frozen` are the odometry's metres and radians in units of these, of all scans and of such runs.
+    """
+
+    way: float = 0.0
+    frozen: float = 0.0
     _ranges: bytes = b""
     _last: FloatArray | None = None
-    _run_m: float = 0.0
-    _run_rad: float = 0.0
+    _run: float = 0.0
 
     def take(self, pose: FloatArray, scan: LaserScan) -> None:
         """Take the next scan of the laser, with the pose (3,) of the odometry."""
@@ -50,29 +50,22 @@ class _FrozenScans:
         if before is None:
             return
         x, y, theta = (pose - before).tolist()
-        metres = math.hypot(x, y)
-        radians = abs(math.remainder(theta, math.tau))
-        self.metres += metres
-        self.radians += radians
-        was_frozen = self._is_frozen
-        self._run_m, self._run_rad = (self._run_m + metres, self._run_rad + radians) if same else (0.0, 0.0)
-        if self._is_frozen and np.count_nonzero(scan.status == BeamStatus.HIT) >= _FEWEST_BEAMS:
-            self.frozen_m += metres if was_frozen else self._run_m
-            self.frozen_rad += radians if was_frozen else self._run_rad
-
-    @property
-    def _is_frozen(self) -> bool:
-        return self._run_m >= _FROZEN_M or self._run_rad >= _FROZEN_RAD
+        moved = math.hypot(x, y) / _FROZEN_M + abs(math.remainder(theta, math.tau)) / _FROZEN_RAD
+        self.way += moved
+        was_frozen = self._run >= 1
+        self._run = self._run + moved if same else 0.0
+        if self._run >= 1 and np.count_nonzero(scan.status == BeamStatus.HIT) >= _FEWEST_BEAMS:
+            self.frozen += moved if was_frozen else self._run
 
     def skip(self) -> None:
         """Take a scan without odometry: the motion since the last one is not known."""
         self._last = None
-        self._run_m = self._run_rad = 0.0
+        self._run = 0.0
 
     @property
     def share(self) -> float:
-        """Share of the metres, or of the radians, in which the scans are frozen; the greater of the two."""
-        return max(self.frozen_m / max(self.metres, _FROZEN_M), self.frozen_rad / max(self.radians, _FROZEN_RAD))
+        """Share of the odometry's way in which the scans are frozen."""
+        return self.frozen / max(self.way, 1.0)
 
 
 @final
@@ -154,15 +147,14 @@ class RangeExaminer:
         )
 
     def _laser_frozen(self, sensor: str) -> Finding | None:
-        frozen = self._frozen
-        if not (frozen.frozen_m or frozen.frozen_rad):
+        share = self._frozen.share
+        if not share:
             return None
         return Finding(
             "laser_frozen",
-            Severity.ERROR if frozen.share > _FROZEN_SHARE else Severity.WARNING,
-            f"The laser is frozen: its scans are identical over {frozen.frozen_m:.1f} of {frozen.metres:.1f} m and "
-            f"{frozen.frozen_rad:.1f} of {frozen.radians:.1f} rad of odometry.",
-            frozen.share,
+            Severity.ERROR if share > _FROZEN_SHARE else Severity.WARNING,
+            f"The laser is frozen: its scans are identical over {percent(share)} of the odometry's way and turns.",
+            share,
             "share",
             "Look for what stops the laser or repeats its scans; there is nothing to map in between.",
             sensor,

@@ -1,4 +1,4 @@
-"""Range limits that lie: readings beyond the stated maximum, and "no return" that is reported as a range."""
+"""Range limits that lie: "no return" that is reported as a range."""
 
 from __future__ import annotations
 
@@ -24,10 +24,7 @@ _BEYOND = 0.1  # of the readings there: what is farther is then no wall that is 
 _WIDE = 0.5  # share of the field of view: no wall is equally far in so many directions, from several places
 _SPOILING = 0.05  # share of hits: from one false end in twenty on, arcs remain where robots pass once
 
-_BEYOND_SHARE = 1e-3  # of all readings, beyond the stated maximum: fewer may be stray
-_MUCH_LOST = 0.1  # of them: the pose's spread grows by 5 %
 _MARGIN_M = 0.05  # below a pile: its readings jitter
-_SPREAD_M = 0.5  # codes for "no return" stand close together, ranges do not
 
 
 class _RangePeak(NamedTuple):
@@ -45,19 +42,14 @@ class RangeCounts:
 
     range_min_m: float = 0.0
     range_max_m: float = math.inf
-    readings: int = 0
     _hits: IntArray = field(default_factory=lambda: np.zeros((_BINS + 1, _SECTORS), np.int64))
-    _beyond: IntArray = field(default_factory=lambda: np.zeros(_BINS + 1, np.int64))
 
     def take(self, scan: LaserScan) -> None:
         """Take the ranges of the next scan."""
         self.range_min_m = scan.range_min_m
         self.range_max_m = scan.range_max_m
-        self.readings += len(scan)
         hits = (scan.status == BeamStatus.HIT).nonzero()[0]
         np.add.at(self._hits, (_bins(scan.ranges[hits]), hits * _SECTORS // max(len(scan), 1)), 1)
-        beyond = scan.ranges[scan.status == BeamStatus.NO_RETURN]
-        np.add.at(self._beyond, _bins(beyond[np.isfinite(beyond)]), 1)
 
     def find_peak(self) -> _RangePeak | None:
         """Return the value near the far end at which hits pile up as walls never do, if there is one."""
@@ -83,34 +75,11 @@ class RangeCounts:
             return None
         return peak.value_m - _MARGIN_M
 
-    def share_beyond_limit(self) -> tuple[float, float]:
-        """Return share of all readings that are ranges beyond the stated maximum, and the farthest of them, m."""
-        ranges = self._beyond.copy()
-        ranges[ranges.argmax()] = 0  # the code for "no return", which is no range
-        total = int(ranges.sum())
-        low, high = np.searchsorted(np.cumsum(ranges), [0.1 * total, 0.9 * total])
-        if not total or (high - low) * _BIN_M < _SPREAD_M:
-            return 0.0, 0.0
-        return total / self.readings, float(np.flatnonzero(self._beyond)[-1]) * _BIN_M
-
     def findings(self, sensor: str) -> Iterator[Finding]:
         """Report where the true limits of the laser of that name differ from the declared ones."""
         peak = self.find_peak()
         if peak is not None:
             yield self._range_peak(sensor, peak)
-        share, farthest_m = self.share_beyond_limit()
-        if share > _BEYOND_SHARE:
-            much = share > _MUCH_LOST
-            yield Finding(
-                "range_limits",
-                Severity.WARNING if much else Severity.INFO,
-                f"{percent(share)} of the readings are ranges beyond the stated limit of {self.range_max_m:g} m, up to "
-                f"{farthest_m:.1f} m: they are taken for beams that hit nothing.",
-                self.range_max_m / farthest_m,
-                "m/m",
-                "Let the driver state the laser's true range_max.",
-                sensor,
-            )
 
     def _range_peak(self, sensor: str, peak: _RangePeak) -> Finding:
         limited = math.isfinite(self.range_max_m)

@@ -16,7 +16,7 @@ from gridslam.doctor.calibration import MotionCalibration, calibrate
 from gridslam.doctor.laser_motion import LaserMotionEstimator
 from gridslam.doctor.lasers import BeamStatistics
 from gridslam.doctor.mirrored_odometry import Mirrored, unmirror_odometry
-from gridslam.doctor.motion_findings import name_unit
+from gridslam.doctor.motion_findings import motion_findings
 from gridslam.doctor.range_limits import RangeCounts
 from gridslam.errors import ArgumentError
 from gridslam.geometry.se2 import adjoint, between
@@ -34,7 +34,8 @@ _TURNED_RAD = 1.2
 _SPOILING_YAW_RAD = 0.35
 _SIGMAS = 6.0
 _GROSS = 0.2  # error of a scale that no wheels have
-_STILL = 0.01  # scale of a robot that hardly moves by its odometry
+_CONTRADICTIONS = ("odometry_unrelated", "odometry_frozen", "odometry_units")
+_OF_SCALES = ("odometry_scale", "odometry_rotation_bias")
 
 
 @final
@@ -97,24 +98,12 @@ def find_needed_repair(calibration: MotionCalibration, range_max_m: float | None
 
 def describe_disagreement(calibration: MotionCalibration) -> str:
     """Describe in a sentence that laser and odometry cannot both be right; empty where nothing speaks against it."""
-    if not calibration.is_reliable:
-        return ""
-    if calibration.headings_in_degrees:
-        return "the headings of the odometry look like degrees"
-    if calibration.is_unrelated:
-        return (
-            f"odometry and laser both turn, but not at the same times (correlation {calibration.agreement:+.2f}): the "
-            "angles of the scans are wrong, or the odometry is another robot's"
-        )
-    scale, turn_scale = calibration.scale, calibration.turn_scale
-    if scale.determined and scale.value < _STILL:
-        return "odometry stands still while the laser moves: it is frozen"
-    if scale.differs(1.0, _GROSS):
-        unit = name_unit(scale.value) or ": one of both is in another unit"
-        return f"odometry moves {scale.value:.3g} times as far as the laser{unit}; the map is in the laser's"
-    if turn_scale.differs(1.0, _GROSS):
-        return f"odometry turns {turn_scale.value:.3g} times as far as the laser: its headings are wrong"
-    return ""
+    gross = (
+        finding.message.rstrip(".")
+        for finding in motion_findings(calibration)
+        if finding.code in _CONTRADICTIONS or (finding.code in _OF_SCALES and abs(finding.size or 0.0) > _GROSS)
+    )
+    return next(gross, "")
 
 
 def calibrate_early(measurements: Iterable[Measurement]) -> MotionCalibration:

@@ -10,7 +10,6 @@ from typing import Any
 from gridslam import __version__
 from gridslam.doctor.diagnose import Diagnosis
 from gridslam.doctor.finding import Finding, Severity, percent
-from gridslam.io.remote import find_origin
 
 SCHEMA = "gridslam.doctor/3"
 _LEVEL_DEG = 0.5
@@ -29,7 +28,7 @@ def document(diagnosis: Diagnosis) -> dict[str, Any]:
         "schema": SCHEMA,
         "version": __version__,
         "log": {
-            "path": find_origin(diagnosis.path) or str(diagnosis.path),
+            "path": str(diagnosis.path),
             "scans": diagnosis.scans,
             "duration_s": statistics.duration_s,
             "odometry_length_m": diagnosis.metres,

@@ -20,7 +20,6 @@ SAME: Final = 0.1
 """Disagreement up to which two scans show one place."""
 
 _HIT = int(BeamStatus.HIT)  # an enumeration takes longer to compare with an array than the array
-_SAMPLES = 60  # ranges of a scan that are looked at first
 _CHANGED_M = 0.1  # change of a range above noise, and
 _CHANGED = 0.02  # of the range
 _COVER_M = 0.3  # hands and arms are nearer while the robot is carried
@@ -34,21 +33,14 @@ _SIDE = 0.05  # of the logarithms: that much nearer, or farther
 class View:
     """A scan with the pose (3,) of the odometry; its ranges are ordered by bearing once they are needed.
 
-    `sampled` are some of the ranges, 0 where nothing was hit; `seen` counts those that are of no cover.
+    `measured` (B,) are the ranges, 0 where nothing was hit.
     """
 
     def __init__(self, pose: FloatArray, scan: LaserScan) -> None:
         """Keep both as they are."""
         self.pose = pose
         self.scan = scan
-        self.sampled = self.sample(0, len(scan))
-        self.seen = sum([range_m > _COVER_M for range_m in self.sampled])
-
-    def sample(self, first: int, end: int) -> list[float]:
-        """Some of the ranges of the beams from `first` on, 0 where nothing was hit; for so few, arrays are slower."""
-        some = slice(first, end, max(len(self.scan) // _SAMPLES, 1))
-        measured = zip(self.scan.ranges[some].tolist(), self.scan.status[some].tolist(), strict=True)
-        return [range_m if status == _HIT else 0.0 for range_m, status in measured]
+        self.measured = np.where(scan.status == _HIT, scan.ranges, 0.0)
 
     @cached_property
     def polar(self) -> PolarScan | None:
@@ -57,13 +49,14 @@ class View:
 
     def is_blind_beside(self, before: View) -> bool:
         """Whether hardly anything is seen, beside before: the laser is covered, or held to floor or ceiling."""
-        return self.seen < _BLIND * before.seen
+        seen, was_seen = (np.count_nonzero(view.measured > _COVER_M) for view in (self, before))
+        return bool(seen < _BLIND * was_seen)
 
     def is_changed_from(self, before: View) -> bool:
         """Return whether more than half of the ranges are others than before, beam by beam and by the turn of both."""
         if len(self.scan) != len(before.scan) or len(self.scan) < 2:
             return True
-        return _is_changed(before.sampled, self.sampled) and self._is_changed_by_more_than_turn(before)
+        return _is_changed(before.measured, self.measured) and self._is_changed_by_more_than_turn(before)
 
     def _is_changed_by_more_than_turn(self, before: View) -> bool:
         """Compare each beam with the one that looked that way before the robot turned, of beams at equal steps."""
@@ -72,8 +65,8 @@ class View:
         turn = math.remainder(float(self.pose[2] - before.pose[2]), math.tau)
         beams = len(self.scan)
         shift = round(turn / step) if abs(turn) < abs(step) * beams else 0
-        was = before.sample(max(shift, 0), beams + min(shift, 0))
-        return _is_changed(was, self.sample(max(-shift, 0), beams - max(shift, 0)))
+        was = before.measured[max(shift, 0) : beams + min(shift, 0)]
+        return _is_changed(was, self.measured[max(-shift, 0) : beams - max(shift, 0)])
 
     def differs_from(self, before: PolarScan, pose: FloatArray) -> float:
         """How badly the scan agrees with one from before; NaN or infinite where they have too little in common."""
@@ -95,6 +88,5 @@ class View:
         return bool(low < -_SIDE and high > _SIDE)
 
 
-def _is_changed(was: list[float], now: list[float]) -> bool:
-    changed = sum([abs(new - old) > _CHANGED_M + _CHANGED * old for old, new in zip(was, now, strict=True)])
-    return changed > _MOST_CHANGED * len(now)
+def _is_changed(was: FloatArray, now: FloatArray) -> bool:
+    return bool(np.count_nonzero(np.abs(now - was) > _CHANGED_M + _CHANGED * was) > _MOST_CHANGED * len(now))

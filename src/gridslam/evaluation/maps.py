@@ -12,6 +12,9 @@ from gridslam.evaluation.trajectory import align
 from gridslam.geometry.se2 import transform_points
 from gridslam.types import FloatArray, IntArray
 
+_FAR = 1000.0
+"""Cost of no partner, as a ratio to the greatest distance of partners."""
+
 
 @final
 @dataclass(frozen=True, slots=True)
@@ -46,7 +49,7 @@ def pair_by_name(names: IntArray, true_names: IntArray) -> tuple[IntArray, IntAr
 def pair_by_position(
     positions: FloatArray, truth: FloatArray, true_from_map: FloatArray, reach_m: float = 0.5
 ) -> tuple[IntArray, IntArray]:
-    """Pair landmarks without comparable names by distance: the nearest first, each once.
+    """Pair landmarks without comparable names, each once, so that as many as may be have a partner nearby.
 
     Parameters
     ----------
@@ -55,29 +58,26 @@ def pair_by_position(
     true_from_map : (3,) float64
         First guess of where the map lies; it is improved by the pairs as long as these change.
     reach_m : float, m
-        Greatest distance of partners. Greater than what landmarks are apart is fine: the nearest pairs come first.
+        Greatest distance of partners.
 
     Returns
     -------
     (K,) int64, (K,) int64
         Places of the partners.
     """
-    pairs: list[list[int]] = []
+    from scipy.optimize import linear_sum_assignment  # only who compares maps pays for its import
+
+    ours = theirs = np.zeros(0, np.int64)
     for _ in range(20):
         moved = transform_points(true_from_map, positions)
         distances = np.hypot(*(moved[:, None] - truth).transpose(2, 0, 1))
-        before = pairs
-        pairs = []
-        while distances.size and distances.min() <= reach_m:
-            i, j = np.unravel_index(distances.argmin(), distances.shape)
-            pairs.append([int(i), int(j)])
-            distances[i] = np.inf
-            distances[:, j] = np.inf
-        if pairs == before or len(pairs) < 2:
+        before = ours, theirs
+        ours, theirs = linear_sum_assignment(np.minimum(distances, _FAR * reach_m))
+        near = distances[ours, theirs] <= reach_m
+        ours, theirs = ours[near], theirs[near]
+        if len(ours) < 2 or (np.array_equal(ours, before[0]) and np.array_equal(theirs, before[1])):
             break
-        ours, theirs = np.array(pairs).T
         true_from_map = align(positions[ours], truth[theirs])
-    ours, theirs = np.array(pairs, np.int64).reshape(-1, 2).T
     return ours, theirs
 
 

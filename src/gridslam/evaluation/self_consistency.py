@@ -137,12 +137,7 @@ def score_drawn_scans(scans: Sequence[BeamEnds], poses: FloatArray) -> SelfConsi
 
 
 def sample_evenly(items: Iterable[_Item], most: int = MAX_SCANS) -> list[_Item]:
-    """Take every k-th item from the first on, k the least power of two that leaves at most `most` >= 1 of them.
-
-    Raises ArgumentError where `most` is less than 1.
-    """
-    if most < 1:
-        raise ArgumentError("most", "at least 1", most)
+    """Take every k-th item from the first on, k the least power of two that leaves at most `most` >= 1 of them."""
     step = 1
     taken: list[_Item] = []
     for index, item in enumerate(items):

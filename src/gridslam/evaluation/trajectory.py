@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from typing import final
 
 import numpy as np
@@ -19,7 +19,6 @@ MAX_GAP_NS = 1_000_000_000
 """Between poses of a reference that are farther apart in time nothing is interpolated: a robot may turn in it."""
 
 
-@final
 @checked
 @dataclass(frozen=True, slots=True)
 class PoseErrors:
@@ -155,13 +154,11 @@ def _pair_poses(
     of_estimate, of_reference = associate(estimate, reference, tolerance_ns=tolerance_ns)
     truth = np.full((len(estimate), 3), np.nan)
     truth[of_estimate] = reference.poses[of_reference]
-    exact = np.zeros(len(estimate), np.bool_)
-    exact[of_estimate] = reference.stamps_ns[of_reference] == estimate.stamps_ns[of_estimate]
     stamps = np.sort(reference.stamps_ns)
     if len(stamps):
         low, high = _neighbours(stamps, estimate.stamps_ns)
         enclosed = (stamps[low] < estimate.stamps_ns) & (estimate.stamps_ns < stamps[high])
-        enclosed &= ~exact & (stamps[high] - stamps[low] <= max_gap_ns)
+        enclosed &= stamps[high] - stamps[low] <= max_gap_ns
         truth[enclosed] = interpolate(reference, estimate.stamps_ns[enclosed])[0]
     paired = np.isfinite(truth[:, 0])
     if not paired.any():
@@ -312,20 +309,13 @@ def clip_relations(relations: Relations, trajectory: Trajectory) -> Relations:
 
 @final
 @dataclass(frozen=True, slots=True)
-class RelationErrors:
-    """Statistics over `n` relations: translation in m, rotation in degrees, std of the population.
+class RelationErrors(PoseErrors):
+    """Statistics over `n` relations, as those of poses.
 
     `exact` is the share of the relations' times with a pose of the trajectory within 1 ms; the rest were interpolated.
     """
 
-    n: int
     exact: float
-    trans_mean_m: float
-    trans_std_m: float
-    trans_max_m: float
-    rot_mean_deg: float
-    rot_std_deg: float
-    rot_max_deg: float
 
 
 @checked
@@ -352,15 +342,6 @@ def relation_errors(trajectory: Trajectory, relations: Relations) -> RelationErr
     first, exact_first = interpolate(trajectory, relations.from_ns)
     second, exact_second = interpolate(trajectory, relations.to_ns)
     error = between(first, second) - relations.poses
-    trans = np.hypot(error[:, 0], error[:, 1])
-    rot = np.degrees(np.abs(wrap(error[:, 2])))
-    return RelationErrors(
-        n=len(trans),
-        exact=float((exact_first.mean() + exact_second.mean()) / 2),
-        trans_mean_m=float(trans.mean()),
-        trans_std_m=float(trans.std()),
-        trans_max_m=float(trans.max()),
-        rot_mean_deg=float(rot.mean()),
-        rot_std_deg=float(rot.std()),
-        rot_max_deg=float(rot.max()),
-    )
+    error[:, 2] = wrap(error[:, 2])
+    exact = float((exact_first.mean() + exact_second.mean()) / 2)
+    return RelationErrors(**asdict(PoseErrors.of(error)), exact=exact)

@@ -161,21 +161,6 @@ def compose_jacobians(a: ArrayLike, b: ArrayLike) -> tuple[FloatArray, FloatArra
 
 
 @checked
-def between_jacobians(a: ArrayLike, b: ArrayLike) -> tuple[FloatArray, FloatArray]:
-    """Return the Jacobians (..., 3, 3) of between(a, b) with respect to `a` and to `b`.
-
-    The second depends on the heading of `a` alone and has the leading dimensions of `a`. Raises ArgumentError if
-    the last dimension of an argument is not 3.
-
-    Source: Grisetti et al., A tutorial on graph-based SLAM (2010), equations 32 and 33 with Z the identity.
-    """
-    _, _, theta = _components(a, "a")
-    x, y, _ = _components(between(a, b), "b")
-    c, s = _cos_sin(theta)
-    return _matrix(-c, -s, y, s, -c, -x, 0, 0, -1), _matrix(c, s, 0, -s, c, 0, 0, 0, 1)
-
-
-@checked
 def adjoint(pose: ArrayLike) -> FloatArray:
     """Return the adjoint (..., 3, 3) of poses: pose compose exp(xi) = exp(adjoint @ xi) compose pose.
 

@@ -15,7 +15,6 @@ from gridslam.io.carmen.lines import SCAN_TAGS
 from gridslam.io.carmen.reader import CarmenLog
 from gridslam.io.csv import CsvLog
 from gridslam.io.foreign_scans import is_foreign_table
-from gridslam.io.remote import fetch, is_url
 from gridslam.io.selection import Log, LogOptions, select
 from gridslam.io.text import open_for_reading, read_head
 from gridslam.io.trajectories import CSV_HEADER
@@ -66,8 +65,7 @@ def open_log(path: str | Path, options: LogOptions = _ALL) -> Log:
     Parameters
     ----------
     path : str or Path
-        The log: a file, or the folder of a ROS 2 bag; as str also its URL, which is read through a cache (see
-        `gridslam.io.remote.fetch`).
+        The log: a file, or the folder of a ROS 2 bag.
     options : LogOptions
         What to read of it.
 
@@ -76,8 +74,6 @@ def open_log(path: str | Path, options: LogOptions = _ALL) -> Log:
     InputError
         There is no such file, or it is no log: names what it looks like; or an option does not fit its format.
     """
-    if isinstance(path, str) and is_url(path):
-        path = fetch(path)
     form = detect_log_format(path)
     if form is LogFormat.BAG:
         from gridslam.io.bags.bag import BagLog  # only bags pay for the import of rosbags

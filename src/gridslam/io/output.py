@@ -3,18 +3,20 @@
 from __future__ import annotations
 
 import bz2
+import errno
 import gzip
 import json
 import os
-import tempfile
+import shutil
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
+from glob import escape
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from types import TracebackType
 from typing import IO, Any, cast, final
 
 from gridslam.errors import ArgumentError, OutputError
-from gridslam.io.staging import StagingFolder, sync
 
 _LAST = "run.json"
 
@@ -32,10 +34,37 @@ def require_writable(path: Path, *, is_folder: bool) -> None:
         got = "an existing folder" if path.is_dir() else "a device or a pipe"
         raise OutputError(f"{path}: expected the name of a file, got {got}")
     try:
-        with tempfile.TemporaryDirectory(".partial", f".{path.name}.", above, ignore_cleanup_errors=True) as folder:
+        with _new_staging(above, path.name) as folder:
             Path(folder, path.relative_to(above)).mkdir(parents=True, exist_ok=True)  # whether there can be such names
     except OSError as error:
         raise OutputError(f"{path}: cannot be written: {error.strerror or error}") from None
+
+
+def _new_staging(parent: Path, name: str) -> TemporaryDirectory[str]:
+    """Create a folder .NAME.XXXXXXXX.partial from which NAME is published; it is removed when the process ends."""
+    return TemporaryDirectory(".partial", f".{name}.", parent, ignore_cleanup_errors=True)
+
+
+def remove_abandoned(folder: Path, name: str = "") -> None:
+    """Remove the temporary folders of killed processes: those of NAME, or of all names."""
+    for left in folder.glob(f".{escape(name) or '*'}.*.partial"):
+        shutil.rmtree(left, ignore_errors=True)
+
+
+def sync(*paths: Path) -> None:
+    """Wait until files, or the names in folders, are stored: they survive a loss of power from now on."""
+    for path in paths:
+        try:
+            descriptor = os.open(path, os.O_RDONLY)
+        except OSError:  # folders cannot be opened everywhere
+            continue
+        try:
+            os.fsync(descriptor)
+        except OSError as error:
+            if error.errno not in (errno.EINVAL, errno.ENOTSUP, errno.EBADF):  # what is no storage need not be synced
+                raise
+        finally:
+            os.close(descriptor)
 
 
 def _find_folder(path: Path, folder: Path) -> Path:
@@ -56,11 +85,11 @@ def write_atomically(path: str | Path) -> Iterator[Path]:
     Folders above it are made where there are none.
     """
     target = Path(path)
-    staging: StagingFolder | None = None
+    staging: TemporaryDirectory[str] | None = None
     try:
         target.parent.mkdir(parents=True, exist_ok=True)
-        staging = StagingFolder(target.parent, target.name)
-        aside = staging.path / target.name
+        staging = _new_staging(target.parent, target.name)
+        aside = Path(staging.name, target.name)
         yield aside
         sync(*aside.rglob("*"), aside)
         os.replace(aside, target)
@@ -69,7 +98,7 @@ def write_atomically(path: str | Path) -> Iterator[Path]:
         raise OutputError(f"{path}: cannot be written: {error.strerror or error}") from None
     finally:
         if staging is not None:
-            staging.remove()
+            staging.cleanup()
 
 
 @contextmanager
@@ -114,15 +143,15 @@ class OutputFolder:
         """Name the folder; nothing is touched before the context is entered."""
         self.path = Path(path)
         self._names = names
-        self._staging: StagingFolder | None = None
+        self._staging: TemporaryDirectory[str] | None = None
 
     def __enter__(self) -> OutputFolder:
         """Check that OUT can be written and create the temporary folder, in OUT or else in the folder above."""
         above = _find_folder(self.path, self.path)
         try:
             self._require_no_folders(self._names)
-            self._staging = StagingFolder(above, self.path.name)
-            self._aside = self._staging.path / "out"
+            self._staging = _new_staging(above, self.path.name)
+            self._aside = Path(self._staging.name, "out")
             self._aside.mkdir()
         except OSError as error:
             raise OutputError(f"{self.path}: cannot be written: {error.strerror}") from None
@@ -139,7 +168,7 @@ class OutputFolder:
         except OSError as problem:
             raise OutputError(f"{self.path}: cannot be written: {problem.strerror or problem}") from None
         finally:
-            self._staging.remove()
+            self._staging.cleanup()
 
     def file(self, name: str) -> Path:
         """Return path to write the file `name` of OUT to, within the context."""

@@ -14,7 +14,6 @@ import zlib
 from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
-from contextvars import ContextVar
 from itertools import chain
 from pathlib import Path
 from typing import IO, Any, cast, final
@@ -26,28 +25,13 @@ from gridslam.io.limits import UnpackingLimit, describe_bytes
 _BLOCK_BYTES = 1 << 17  # some hundred scans: large enough to parse in one go, small enough to stream
 _LONGEST_LINE_BYTES = 1 << 20
 _LARGEST_TEXT_BYTES = 1 << 26
-_folder: ContextVar[Path | None] = ContextVar("folder", default=None)
 _NOT_TEXT = re.compile(rb"[\x00-\x08\x0e-\x1a\x1c-\x1f]")
-
-
-@contextmanager
-def stay_below(folder: str | Path | None) -> Iterator[None]:
-    """Let readers open files below a folder alone, and follow no link there; the folder itself may be one.
-
-    None lets them open any file again.
-    """
-    token = _folder.set(None if folder is None else Path(folder))
-    try:
-        yield
-    finally:
-        _folder.reset(token)
 
 
 def open_for_reading(path: str | Path) -> IO[bytes]:
     """Open a file that must exist, be a regular file and hold something; raises InputError otherwise.
 
     Pipes, devices and sockets are refused: files are read more than once, and what comes of a pipe is there only once.
-    Within `stay_below` links are refused, too, and files elsewhere.
     """
     try:
         file = open(path, "rb", opener=_open_at_once)  # noqa: SIM115 the caller closes it
@@ -73,32 +57,8 @@ def _describe_stream(what: str) -> str:
 
 
 def _open_at_once(path: str, flags: int) -> int:
-    """Open a file, without waiting for the other end of a pipe; raises InputError where `stay_below` forbids it."""
-    flags |= getattr(os, "O_NONBLOCK", 0)
-    folder = _folder.get()
-    if folder is None:
-        return os.open(path, flags)
-    where = Path(path)
-    if folder not in where.parents or ".." in where.relative_to(folder).parts:
-        raise InputError(path, f"expected a file in {folder}, got one elsewhere")
-    *inner, name = where.relative_to(folder).parts
-    if os.open not in os.supports_dir_fd:  # on Windows
-        if where.resolve() != folder.resolve() / where.relative_to(folder):
-            raise InputError(path, f"expected a file in {folder}, got a link")
-        return os.open(path, flags)
-    opened = os.open(folder, os.O_RDONLY | os.O_DIRECTORY)
-    try:
-        for part in inner:
-            above = opened
-            opened = os.open(part, os.O_RDONLY | os.O_DIRECTORY | os.O_NOFOLLOW, dir_fd=above)
-            os.close(above)
-        return os.open(name, flags | os.O_NOFOLLOW, dir_fd=opened)
-    except OSError as error:
-        if error.errno == errno.ELOOP:
-            raise InputError(path, f"expected a file in {folder}, got a link") from None
-        raise
-    finally:
-        os.close(opened)
+    """Open a file, without waiting for the other end of a pipe."""
+    return os.open(path, flags | getattr(os, "O_NONBLOCK", 0))
 
 
 @contextmanager

@@ -1,4 +1,4 @@
-"""Trajectories as text: TUM, EuRoC and KITTI, and CSV with the covariance of each pose; relations between poses."""
+"""Trajectories as text: TUM and EuRoC, and CSV with the covariance of each pose; relations between poses."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from gridslam.errors import ArgumentError, InputError
+from gridslam.errors import ArgumentError
 from gridslam.geometry.angles import wrap
 from gridslam.io.measurement import FARTHEST_M
 from gridslam.io.tables import (
@@ -68,25 +68,16 @@ def _format_rows(form: str, stamps_ns: IntArray, values: FloatArray) -> bytes:
     return "".join(lines).encode()
 
 
-def read_trajectory(path: str | Path, stamps_ns: IntArray | None = None) -> Trajectory:
+def read_trajectory(path: str | Path) -> Trajectory:
     """Read a trajectory in the form that its first row has, in file order.
 
     - TUM: as `read_tum`.
     - EuRoC: commas, a stamp in ns, position, quaternion with w first; further columns are left out.
-    - KITTI: twelve numbers, the upper three rows of a pose's matrix, in the axes of a robot or of a camera (z ahead, y
-      down), by which of y and z is the more constant. These rows have no stamps: they are `stamps_ns`.
-
-    Parameters
-    ----------
-    path : str or Path
-        The file.
-    stamps_ns : (N,) int64, ns, optional
-        Stamps of rows without any.
 
     Raises
     ------
     InputError
-        As `read_tum`; and of KITTI where there are no stamps for it, or not as many as it has rows.
+        As `read_tum`.
     """
     first = _first_row(path)
     words = _split(first)
@@ -94,34 +85,12 @@ def read_trajectory(path: str | Path, stamps_ns: IntArray | None = None) -> Traj
         how = {"parse_stamp": parse_whole_ns, "split": lambda line: line.split(",")[:8], "skip": _has_names}
         table = read_table(path, "timestamp x y z qw qx qy qz", 1, **how)
         return _of_quaternions(path, table._replace(values=table.values[:, [0, 1, 2, 4, 5, 6, 3]]))
-    return _read_kitti(path, stamps_ns) if "," not in first and len(words) == 12 else read_tum(path)
+    return read_tum(path)
 
 
 def _is_ns(stamp: str) -> bool:
     """Return whether a stamp is one in ns."""
     return stamp.isdecimal() and len(stamp) >= _DIGITS_OF_NS
-
-
-def _read_kitti(path: str | Path, stamps_ns: IntArray | None) -> Trajectory:
-    table = read_table(path, "r11 r12 r13 x r21 r22 r23 y r31 r32 r33 z")
-    if stamps_ns is None or len(stamps_ns) != len(table.lines):
-        wanted = (
-            "stamps, which poses in the form of KITTI do not have" if stamps_ns is None else f"{len(stamps_ns)} poses"
-        )
-        got = f"{len(table.lines)} poses" + ("" if stamps_ns is None else ", in a form without stamps (KITTI)")
-        raise InputError(path, f"expected {wanted}, got {got}")
-    matrices = table.values.reshape(-1, 3, 4)
-    rotations = matrices[:, :, :3]
-    proper = np.abs(rotations @ rotations.transpose(0, 2, 1) - np.eye(3)).max(axis=(1, 2)) <= 0.01
-    check_rows(path, table.lines, proper, lambda row: "expected the matrix of a rotation in the first three columns")
-    axes = [2, 0] if np.ptp(matrices[:, 1, 3]) < np.ptp(matrices[:, 2, 3]) else [0, 1]  # a camera's, or a robot's
-    sign = -1.0 if axes == [2, 0] else 1.0
-    x, y = matrices[:, axes, 3].T * [[1.0], [sign]]
-    ahead = matrices[:, axes, axes[0]]
-    table = table._replace(values=np.column_stack([x, y]))
-    _check_positions(path, table)
-    yaw = wrap(np.arctan2(sign * ahead[:, 1], ahead[:, 0]))
-    return Trajectory(stamps_ns, np.column_stack([x, y, yaw]))
 
 
 def read_tum(path: str | Path) -> Trajectory:

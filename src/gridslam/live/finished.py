@@ -13,7 +13,7 @@ from gridslam.evaluation.trajectory import align, associate
 from gridslam.geometry.se2 import compose
 from gridslam.io.g2o import read_g2o
 from gridslam.io.maps import read_map
-from gridslam.io.text import read_json, stay_below
+from gridslam.io.text import read_json
 from gridslam.io.trajectories import read_tum
 from gridslam.live.history import History
 from gridslam.live.history_file import HISTORY_NAME, read_history
@@ -144,8 +144,7 @@ def _read_messages(path: Path, document: dict[str, Any]) -> list[dict[str, Any]]
 def _read_known_map(path: Path) -> tuple[OccupancyGrid | None, list[dict[str, Any]]]:
     """Return the map of a localization from its original path; None and a message if it cannot be read."""
     try:
-        with stay_below(None):  # it lies elsewhere, as a rule
-            return read_map(path), []
+        return read_map(path), []
     except InputError as error:
         messages = Messages(lambda level, text: None)
         messages.report(Level.WARN, f"without the map: {error}")

@@ -9,7 +9,6 @@ from typing import Any, final
 import numpy as np
 
 from gridslam.errors import ArgumentError
-from gridslam.io.text import stay_below
 from gridslam.live.finished import read_finished_run
 from gridslam.live.history import SCAN_UNIT_M, PastReader
 from gridslam.live.protocol import Float32Array
@@ -31,15 +30,13 @@ class Replay:
     Raises
     ------
     InputError
-        A file is missing or malformed, the files are not of one run, or another command wrote the folder; a file is a
-        link, or lies elsewhere: only those in the folder are read and served.
+        A file is missing or malformed, the files are not of one run, or another command wrote the folder.
     """
 
     def __init__(self, folder: str | Path, speed: float = 10.0) -> None:
         """Read the folder."""
         out = Path(folder)
-        with stay_below(out):
-            found = read_finished_run(out)
+        found = read_finished_run(out)
         self.found = found
         history = found.history
         steps = 1 if history is None else len(history.stamps_ns)

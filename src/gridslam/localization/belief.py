@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from typing import Annotated, NamedTuple, final
+from typing import Annotated, Final, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,7 +11,6 @@ from numpy.typing import NDArray
 from gridslam.geometry.angles import wrap
 from gridslam.geometry.se2 import compose, lever_arm_jacobian
 from gridslam.localization.known_map import PoseLikelihood
-from gridslam.parameters import bounded, parameters
 from gridslam.types import FloatArray, IntArray
 
 CLUSTER_RADIUS_M = 1.0
@@ -139,130 +138,125 @@ _CONVINCING = 1.0  # nats for a hypothesis, from which on particles are drawn th
 _REFUTED = 6.0  # nats against a hypothesis; evidence for it is limited to half of that, as the map may be wrong
 
 
-@final
-@parameters(frozen=True)
-class HypothesisTracker:
-    """Tracks pose hypotheses that the particles no longer cover, until the scans refute them.
+_MAX_HYPOTHESES = 32
+"""So many are followed, those of the greatest weight."""
 
-    In a building of equal rooms, or one that looks the same after half a turn, the particles end up in one of the
-    places that look alike, by chance and by the small errors of the map, which are the same in scan after scan. So each
-    cluster of the particles is stored as one pose: moved by odometry, refined where its surroundings fit best, and
-    compared with the reported place. Only the evidence of a scan beyond the errors of the map counts for or against it.
+_MIN_MASS = 0.005
+"""A cluster of less weight is not a hypothesis."""
+
+_MARGIN = 0.05
+"""By so much the shares of agreeing beams differ in places that are alike: the map is rounded to cells."""
+
+_LOG_ODDS_PER_SCAN = 6.0
+"""Evidence of a scan if no beam agrees with one place and all do with the other: 120 beams, of whose evidence
+`LikelihoodField` uses a fraction of 0.05."""
+
+_JITTER_SAMPLES = 64
+"""Poses looked at about each hypothesis."""
+
+JITTER: Final = 0.05, 0.05, 0.03
+"""Standard deviations (m, m, rad) of these poses about it, as of the odometry between two updates."""
+
+
+def update_hypotheses(
+    hypotheses: PoseHypotheses,
+    moved: FloatArray,
+    estimate: PoseEstimate,
+    poses: FloatArray,
+    weights: FloatArray,
+    agree: PoseLikelihood,
+    rng: np.random.Generator,
+) -> PoseHypotheses:
+    """Propagate hypotheses by a motion `moved` (3,), update them with the scan of `agree`, and add new ones.
+
+    Hypotheses are places that the particles no longer cover, and that scans have not refuted. In a building of equal
+    rooms, or one that looks the same after half a turn, the particles end up in one of the places that look alike, by
+    chance and by the small errors of the map, which are the same in scan after scan. So each cluster of the particles
+    is stored as one pose: moved by odometry, refined where its surroundings fit best, and compared with the reported
+    place. Only the evidence of a scan beyond the errors of the map counts for or against it.
 
     Parameters
     ----------
-    max_hypotheses : int, >= 0
-        So many are followed, those of the greatest weight; 0: none.
-    min_mass : float, (0, 1]
-        A cluster of less weight is not a hypothesis.
-    margin : float, [0, 1]
-        By so much the shares of agreeing beams differ in places that are alike: the map is rounded to cells.
-    log_odds_per_scan : float, >= 0
-        Evidence of a scan if no beam agrees with one place and all do with the other: 120 beams, of whose evidence
-        `LikelihoodField` uses a fraction of 0.05.
-    jitter_samples : int, >= 1
-        Poses looked at about each.
-    jitter_m, jitter_rad : float, m and rad, >= 0
-        How far about it: what odometry may be wrong by between two updates.
+    estimate : PoseEstimate
+        The reported place.
+    poses, weights : (N, 3), (N,) float64
+        The particles, which may contain new hypotheses; weights sum to 1.
 
     References
     ----------
     After A. Milstein, J. Sanchez and E. Williamson, Robust global localization using clustered particle
     filtering (AAAI 2002), which keeps a filter for each cluster.
     """
+    new = _heaviest_of_clusters(poses, weights) if estimate.mass < 1 - _MIN_MASS else np.empty((0, 3))
+    places = np.concatenate([compose(hypotheses.poses, moved), new])
+    places, odds = _merge(places, np.append(hypotheses.log_odds, np.zeros(len(new))), estimate.pose)
+    if not len(places):
+        return NO_HYPOTHESES
+    places, agreement = refine_places(np.concatenate([estimate.pose[None], places]), agree, rng)
+    return without_refuted(places[1:], odds + compute_evidence(agreement[1:] - agreement[0]))
 
-    max_hypotheses: int = bounded(32, ge=0, le=10_000)
-    min_mass: float = bounded(0.005, ge=1e-6, le=1)
-    margin: float = bounded(0.05, ge=0, le=1)
-    log_odds_per_scan: float = bounded(6.0, ge=0)
-    jitter_samples: int = bounded(64, ge=1, le=100_000)
-    jitter_m: float = bounded(0.05, ge=0, le=1e6)
-    jitter_rad: float = bounded(0.03, ge=0, le=100)
 
-    def __call__(
-        self,
-        hypotheses: PoseHypotheses,
-        moved: FloatArray,
-        estimate: PoseEstimate,
-        poses: FloatArray,
-        weights: FloatArray,
-        agree: PoseLikelihood,
-        rng: np.random.Generator,
-    ) -> PoseHypotheses:
-        """Propagate hypotheses by a motion `moved` (3,), update them with the scan of `agree`, and add new ones.
+def compute_evidence(better: FloatArray) -> FloatArray:
+    """Return log-odds (K,) by a scan of which the inlier ratio is `better` (K,) than at the reported place."""
+    return np.asarray(_LOG_ODDS_PER_SCAN * np.sign(better) * np.maximum(np.abs(better) - _MARGIN, 0))
 
-        Parameters
-        ----------
-        estimate : PoseEstimate
-            The reported place.
-        poses, weights : (N, 3), (N,) float64
-            The particles, which may contain new hypotheses; weights sum to 1.
-        """
-        new = self._heaviest_of_clusters(poses, weights) if estimate.mass < 1 - self.min_mass else np.empty((0, 3))
-        places = np.concatenate([compose(hypotheses.poses, moved), new])
-        places, odds = self._merge(places, np.append(hypotheses.log_odds, np.zeros(len(new))), estimate.pose)
-        if not len(places):
-            return NO_HYPOTHESES
-        places, agreement = self.refine(np.concatenate([estimate.pose[None], places]), agree, rng)
-        return self.without_refuted(places[1:], odds + self.evidence(agreement[1:] - agreement[0]))
 
-    def evidence(self, better: FloatArray) -> FloatArray:
-        """Return log-odds (K,) by a scan of which the inlier ratio is `better` (K,) than at the reported place."""
-        return np.asarray(self.log_odds_per_scan * np.sign(better) * np.maximum(np.abs(better) - self.margin, 0))
+def without_refuted(places: FloatArray, log_odds: FloatArray) -> PoseHypotheses:
+    """Return hypotheses at places (K, 3) with limited log-odds (K,), but for those that are refuted."""
+    kept = log_odds > -_REFUTED
+    return PoseHypotheses(places[kept], np.minimum(log_odds[kept], _REFUTED / 2))
 
-    def without_refuted(self, places: FloatArray, log_odds: FloatArray) -> PoseHypotheses:
-        """Return hypotheses at places (K, 3) with limited log-odds (K,), but for those that are refuted."""
-        kept = log_odds > -_REFUTED
-        return PoseHypotheses(places[kept], np.minimum(log_odds[kept], _REFUTED / 2))
 
-    def join(self, first: PoseHypotheses, second: PoseHypotheses, estimate: FloatArray) -> PoseHypotheses:
-        """Return hypotheses of both, the more probable of two in one cluster, without those at the `estimate` (3,)."""
-        log_odds = np.append(first.log_odds, second.log_odds)
-        order = np.argsort(-log_odds, kind="stable")
-        return PoseHypotheses(
-            *self._merge(np.concatenate([first.poses, second.poses])[order], log_odds[order], estimate)
-        )
+def join_hypotheses(first: PoseHypotheses, second: PoseHypotheses, estimate: FloatArray) -> PoseHypotheses:
+    """Return hypotheses of both, the more probable of two in one cluster, without those at the `estimate` (3,)."""
+    log_odds = np.append(first.log_odds, second.log_odds)
+    order = np.argsort(-log_odds, kind="stable")
+    return PoseHypotheses(*_merge(np.concatenate([first.poses, second.poses])[order], log_odds[order], estimate))
 
-    def sample(self, hypotheses: PoseHypotheses, count: int, rng: np.random.Generator) -> tuple[FloatArray, FloatArray]:
-        """Sample `count` poses (K, 3) about those hypotheses that are clearly more probable than the reported place.
 
-        The sum of the weights, whose logarithms are (K,), is the probability of these hypotheses.
-        """
-        better = hypotheses.log_odds > _CONVINCING
-        if not (better.any() and count):
-            return np.empty((0, 3)), np.empty(0)
-        odds = np.exp(hypotheses.log_odds[better])
-        poses = hypotheses.poses[better][rng.choice(len(odds), size=count, p=odds / odds.sum())]
-        poses += rng.normal(size=poses.shape) * [self.jitter_m, self.jitter_m, self.jitter_rad]
-        poses[:, 2] = wrap(poses[:, 2])
-        return poses, np.full(count, math.log(odds.sum() / (1 + odds.sum()) / count))
+def sample_hypotheses(
+    hypotheses: PoseHypotheses, count: int, rng: np.random.Generator
+) -> tuple[FloatArray, FloatArray]:
+    """Sample `count` poses (K, 3) about those hypotheses that are clearly more probable than the reported place.
 
-    def _merge(self, places: FloatArray, log_odds: FloatArray, estimate: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Merge nearby hypotheses, drop those near the estimate, and limit their number."""
-        kept = list[int]()
-        for k in range(len(places)):
-            others = np.concatenate([estimate[None], places[kept]])
-            if len(kept) < self.max_hypotheses and not is_in_cluster(others, places[k]).any():
-                kept.append(k)
-        return places[kept], log_odds[kept]
+    The sum of the weights, whose logarithms are (K,), is the probability of these hypotheses.
+    """
+    better = hypotheses.log_odds > _CONVINCING
+    if not (better.any() and count):
+        return np.empty((0, 3)), np.empty(0)
+    odds = np.exp(hypotheses.log_odds[better])
+    poses = hypotheses.poses[better][rng.choice(len(odds), size=count, p=odds / odds.sum())]
+    poses += rng.normal(size=poses.shape) * JITTER
+    poses[:, 2] = wrap(poses[:, 2])
+    return poses, np.full(count, math.log(odds.sum() / (1 + odds.sum()) / count))
 
-    def _heaviest_of_clusters(self, poses: FloatArray, weights: FloatArray) -> FloatArray:
-        """Heaviest particle (K, 3) of each cluster of enough weight, the heaviest cluster first."""
-        names = cluster_bins(*poses.T.copy())
-        mass = np.bincount(names, weights)
-        heavy = np.flatnonzero(mass >= self.min_mass)
-        heavy = heavy[np.argsort(-mass[heavy], kind="stable")][: self.max_hypotheses + 1]  # one is the reported one
-        return np.array([poses[(weights * (names == one)).argmax()] for one in heavy]).reshape(-1, 3)
 
-    def refine(
-        self, places: FloatArray, agree: PoseLikelihood, rng: np.random.Generator
-    ) -> tuple[FloatArray, FloatArray]:
-        """Return the pose about each of places (K, 3) where most beams agree, and their share (K,)."""
-        noise = rng.standard_normal((len(places), self.jitter_samples, 3))
-        noise *= [self.jitter_m, self.jitter_m, self.jitter_rad]
-        noise[:, 0] = 0
-        tried = places[:, None] + noise
-        tried[..., 2] = wrap(tried[..., 2])
-        shares = agree(tried.reshape(-1, 3)).reshape(len(places), self.jitter_samples)
-        best = shares.argmax(axis=1)[:, None]
-        return np.take_along_axis(tried, best[..., None], 1)[:, 0], np.take_along_axis(shares, best, 1)[:, 0]
+def _merge(places: FloatArray, log_odds: FloatArray, estimate: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Merge nearby hypotheses, drop those near the estimate, and limit their number."""
+    kept = list[int]()
+    for k in range(len(places)):
+        others = np.concatenate([estimate[None], places[kept]])
+        if len(kept) < _MAX_HYPOTHESES and not is_in_cluster(others, places[k]).any():
+            kept.append(k)
+    return places[kept], log_odds[kept]
+
+
+def _heaviest_of_clusters(poses: FloatArray, weights: FloatArray) -> FloatArray:
+    """Heaviest particle (K, 3) of each cluster of enough weight, the heaviest cluster first."""
+    names = cluster_bins(*poses.T.copy())
+    mass = np.bincount(names, weights)
+    heavy = np.flatnonzero(mass >= _MIN_MASS)
+    heavy = heavy[np.argsort(-mass[heavy], kind="stable")][: _MAX_HYPOTHESES + 1]  # one is the reported one
+    return np.array([poses[(weights * (names == one)).argmax()] for one in heavy]).reshape(-1, 3)
+
+
+def refine_places(places: FloatArray, agree: PoseLikelihood, rng: np.random.Generator) -> tuple[FloatArray, FloatArray]:
+    """Return the pose about each of places (K, 3) where most beams agree, and their share (K,)."""
+    noise = rng.standard_normal((len(places), _JITTER_SAMPLES, 3))
+    noise *= JITTER
+    noise[:, 0] = 0
+    tried = places[:, None] + noise
+    tried[..., 2] = wrap(tried[..., 2])
+    shares = agree(tried.reshape(-1, 3)).reshape(len(places), _JITTER_SAMPLES)
+    best = shares.argmax(axis=1)[:, None]
+    return np.take_along_axis(tried, best[..., None], 1)[:, 0], np.take_along_axis(shares, best, 1)[:, 0]

@@ -165,7 +165,8 @@ class EkfLocalization:
         ArgumentError
             The association needs correspondences that the observations do not contain.
         """
-        belief = self._predict(belief, motion)
+        moved, G, R = self.bias.predict(motion, belief.mean)  # Table 7.2, lines 2 to 7
+        belief = PoseGaussian(moved, G @ belief.whole_covariance @ G.T + R)
         if not len(observations):
             return belief, EkfLocalizationReport(belief.pose, belief.covariance, np.empty(0, np.int64), 0.0)
         noise = self.sensor.noise(observations)
@@ -174,11 +175,6 @@ class EkfLocalization:
         belief, log_likelihood = self._correct(belief, places[seen], values[seen], noise[seen], spread[seen])
         reported = np.where(places >= 0, self.landmarks.names[places], places)
         return belief, EkfLocalizationReport(belief.pose, belief.covariance, reported, log_likelihood)
-
-    def _predict(self, belief: PoseGaussian, motion: MotionSampler) -> PoseGaussian:
-        """Table 7.2, lines 2 to 7."""
-        moved, G, R = self.bias.predict(motion, belief.mean)
-        return PoseGaussian(moved, G @ belief.whole_covariance @ G.T + R)
 
     def _correspondences(
         self, belief: PoseGaussian, observations: LandmarkObservations, noise: FloatArray

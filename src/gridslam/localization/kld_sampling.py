@@ -51,10 +51,6 @@ class KldSampling:
         if self.particles_min > self.particles_max:
             raise ValueError("particles_min must not exceed particles_max")
 
-    def bound(self, bins: IntArray) -> FloatArray:
-        """Required number of particles (...) for numbers of occupied `bins` (...); 0 for a single bin."""
-        return kld_bound(bins, self.error, self.z)
-
     def bins(self, poses: FloatArray) -> IntArray:
         """Name (N,) of the bin of each pose (N, 3); poses in one bin have the same name."""
         x, y = np.floor(poses[:, :2] / self.bin_m).astype(np.int64).T
@@ -90,7 +86,7 @@ class KldSampling:
     def _enough(self, drawn: IntArray) -> int | None:
         """After how many draws there are first as many as the bins so far ask for; None where never."""
         first = np.sort(np.unique(drawn, return_index=True)[1])
-        needed = np.maximum(first + 1, self.bound(np.arange(1, len(first) + 1)))
+        needed = np.maximum(first + 1, kld_bound(np.arange(1, len(first) + 1), self.error, self.z))
         needed = np.maximum(needed, self.particles_min)
         met = np.flatnonzero(needed <= np.append(first[1:], len(drawn)))
         return int(needed[met[0]]) if len(met) else None

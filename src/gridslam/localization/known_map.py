@@ -10,6 +10,7 @@ from typing import Annotated, Any, final
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
+from scipy.ndimage import distance_transform_edt
 
 from gridslam.arguments import Limits
 from gridslam.checked import checked
@@ -29,7 +30,8 @@ _Point = Annotated[FloatArray, 2]
 _OCCUPIED = math.log(0.65 / 0.35)  # as map_server writes and reads maps
 _FREE = math.log(0.196 / 0.804)
 _PAGE_CELLS = TILE * PAGE
-_BAND = 64  # rows at a time
+_BAND = 512  # rows at a time
+_MOST_SAMPLED = 1_000_000  # free cells, spread evenly, whose spread stands for that of all
 _CLOSE_CELLS = 15.5  # as far as tiles know distances
 _THROUGH_M = 0.5
 """A beam that ends this far behind the first wall went through it: maps are off by less, and doors are thinner."""
@@ -80,9 +82,10 @@ class KnownMap:
         self.resolution_m = grid.resolution_m
         self._free_cells = np.flatnonzero(self.free).astype(np.int32)  # of the flat map, which has fewer than 2^31
         self._origin = np.array(grid.origin, np.float64)
-        middle, spread = _moments(self.free)
-        self._middle = (middle + 0.5) * grid.resolution_m + grid.origin
-        self._spread = spread * grid.resolution_m**2
+        rows, columns = self._find_cells(slice(None, None, 1 + len(self._free_cells) // _MOST_SAMPLED))
+        places = (np.stack([columns, rows]) + 0.5) * grid.resolution_m + self._origin[:, None]
+        self._middle = places.mean(axis=1)
+        self._spread = np.cov(places, bias=True)
         reach = math.ceil(reach_m / grid.resolution_m)
         self._rim = reach + 1  # the field is extended beyond the map, to where it is constant
         self._corner = np.array(grid.origin) - self._rim * grid.resolution_m
@@ -137,21 +140,6 @@ class KnownMap:
         poses[:, :2] = (poses[:, :2] + np.column_stack([columns, rows])) * self.resolution_m + self.grid.origin
         poses[:, 2] = (poses[:, 2] - 0.5) * math.tau
         return poses
-
-    def lattice(self, spacing_m: Annotated[float, Limits(1e-9, 1e9)], clearance_m: float) -> FloatArray:
-        """Places (N, 2) on free cells, one in each square of `spacing_m`, at least `clearance_m` from any obstacle.
-
-        In a square it is the free cell farthest from obstacles; of the clearance no more than `reach_m` is known.
-        """
-        rows, columns = self._find_cells(slice(None))
-        away = self._distances[rows + self._rim, columns + self._rim]
-        side = max(round(spacing_m / self.resolution_m), 1)
-        squares = (rows // side) * (self.free.shape[1] // side + 1) + columns // side
-        order = np.lexsort((-away, squares))
-        best = order[np.unique(squares[order], return_index=True)[1]]
-        chosen = best[away[best] >= min(clearance_m, self.reach_m)]
-        places = np.column_stack([columns[chosen], rows[chosen]]) + 0.5
-        return np.asarray(places * self.resolution_m + self.grid.origin, np.float64)
 
     def _find_cells(self, which: NDArray[np.int64] | slice) -> tuple[NDArray[np.int32], NDArray[np.int32]]:
         """Rows and columns of some of the free cells."""
@@ -260,42 +248,17 @@ class KnownMap:
         return self._tabulated[sensor]
 
 
-def _moments(cells: NDArray[np.bool_]) -> tuple[FloatArray, FloatArray]:
-    """Mean (2,) and covariance (2, 2), x first, of the cells that are true, in cells; a band of rows at a time."""
-    height, width = cells.shape
-    across = np.arange(width, dtype=np.float64)
-    in_rows, in_columns = cells.sum(axis=1, dtype=np.float64), cells.sum(axis=0, dtype=np.float64)
-    along = np.concatenate([cells[first : first + _BAND] @ across for first in range(0, height, _BAND)])
-    up = np.arange(height, dtype=np.float64)
-    count = in_rows.sum()
-    middle = np.array([in_columns @ across, in_rows @ up]) / count
-    squares = np.array([[in_columns @ across**2, along @ up], [along @ up, in_rows @ up**2]]) / count
-    return middle, squares - np.outer(middle, middle)
-
-
 def _distances_within(occupied: NDArray[np.bool_], reach: int) -> NDArray[np.float32]:
-    """Distances in cells (H, W) to the nearest occupied cell, `reach` at most; exact.
-
-    First along the columns, then along the rows, some rows at a time: a transform without limit takes gigabytes.
-    Source: Felzenszwalb and Huttenlocher, Distance transforms of sampled functions (2012), for the two passes.
-    """
-    kind = np.min_scalar_type(2 * reach * reach)
-    squares = np.where(occupied, 0, reach).astype(kind)
-    for row in range(1, len(squares)):
-        np.minimum(squares[row], squares[row - 1] + 1, out=squares[row])
-    for row in range(len(squares) - 2, -1, -1):
-        np.minimum(squares[row], squares[row + 1] + 1, out=squares[row])
-    np.multiply(squares, squares, out=squares)
-    lengths = np.sqrt(np.arange(reach * reach + 1)).astype(np.float32)
+    """Distances in cells (H, W) to the nearest occupied cell, `reach` at most; some rows at a time, for the memory."""
     found = np.full(occupied.shape, reach, np.float32)
-    for first in range(0, len(squares), _BAND):
-        along = squares[first : first + _BAND]
-        nearest = along.copy()
-        for away in range(1, reach) if (along < reach * reach).any() else ():
-            other = along + kind.type(away * away)
-            np.minimum(nearest[:, away:], other[:, :-away], out=nearest[:, away:])
-            np.minimum(nearest[:, :-away], other[:, away:], out=nearest[:, :-away])
-        found[first : first + _BAND] = lengths[np.minimum(nearest, reach * reach)]
+    for first in range(0, len(occupied), _BAND):
+        low = max(first - reach, 0)
+        band = occupied[low : first + _BAND + reach]
+        if band.any():
+            own = found[first : first + _BAND]
+            np.minimum(
+                own, np.asarray(distance_transform_edt(~band))[first - low :][: len(own)], out=own, casting="same_kind"
+            )
     return found
 
 

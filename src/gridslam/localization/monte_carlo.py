@@ -20,17 +20,27 @@ from gridslam.geometry.se2 import between, compose, log
 from gridslam.localization.belief import (
     CLUSTER_RADIUS_M,
     CLUSTER_RADIUS_RAD,
-    HypothesisTracker,
     PoseEstimate,
     estimate_pose,
+    join_hypotheses,
     propagate_covariance,
+    sample_hypotheses,
+    update_hypotheses,
 )
 from gridslam.localization.kld_sampling import KldSampling
 from gridslam.localization.known_map import KnownMap, PoseLikelihood
-from gridslam.localization.match_covariance import MatchCovariance
+from gridslam.localization.match_covariance import compute_match_covariance
 from gridslam.localization.odometry_check import OdometryCheck
-from gridslam.localization.place_verification import CERTAINLY_INSIDE, NO_SCANS, PlaceVerification
-from gridslam.localization.recovery import AugmentedRecovery, MeasurementProposal
+from gridslam.localization.place_verification import (
+    CERTAINLY_INSIDE,
+    MOST_SCANS,
+    NO_SCANS,
+    bound_outside_log_odds,
+    compute_outside_log_odds,
+    find_rivals,
+    update_outside_log_odds,
+)
+from gridslam.localization.recovery import AugmentedRecovery, propose_poses
 from gridslam.localization.state import LocalizationReport, LocalizationSkip, MonteCarloState, validate_poses
 from gridslam.matching.beam_order import BeamOrder
 from gridslam.matching.gauss_newton import NO_PRIOR, GaussNewton, degenerate_direction
@@ -76,18 +86,10 @@ class MonteCarloConfiguration:
         that look alike would be distinguished.
     recovery : AugmentedRecovery
         How probable it is that the robot is somewhere else.
-    proposal : MeasurementProposal
-        Where it may be, then and at the start.
-    hypotheses : HypothesisTracker
-        Tracking of alternative pose hypotheses.
-    verification : PlaceVerification
-        Search for other places before the robot counts as found.
     matcher : GaussNewton
         Moves the reported pose from the mean of the particles to where the scan fits best; max_iterations=0: not at
         all, as AMCL. Walls of a map that many scans have made, or someone has drawn, are lines: no end on them is but a
         dot. Of ends that all count, less information than 2 % along a direction is that of a corridor's cells.
-    match_covariance : MatchCovariance
-        How exact that pose is.
     beam_order_margin : float, [0, 1]
         Gain of the inlier ratio required to deskew a scan in another order than its driver reports: some report beam
         times in reverse order or without meaning. Smaller gains occur by the rounding of the map to cells.
@@ -131,11 +133,7 @@ class MonteCarloConfiguration:
         default_factory=lambda: LikelihoodField(tempering=0.05)
     )
     recovery: AugmentedRecovery = field(default_factory=AugmentedRecovery)
-    proposal: MeasurementProposal = field(default_factory=MeasurementProposal)
-    hypotheses: HypothesisTracker = field(default_factory=HypothesisTracker)
-    verification: PlaceVerification = field(default_factory=PlaceVerification)
     matcher: GaussNewton = field(default_factory=lambda: GaussNewton(point_to_line=False, min_information=0.02))
-    match_covariance: MatchCovariance = field(default_factory=MatchCovariance)
     beam_order_margin: float = bounded(0.05, ge=0, le=1)
     kld: KldSampling = field(default_factory=KldSampling)
     when_to_update: MotionThreshold = field(default_factory=lambda: MotionThreshold(0.2, 0.2))
@@ -239,7 +237,7 @@ class MonteCarloLocalization:
         if reason := self._skip_reason(state, odometry, moved, beams):
             report = self._report_skipped(state, odometry, scan, moved, reason)
             return state, self._refine_pose(state.note_found(report), beams)
-        state.add_particles(*self.configuration.hypotheses.sample(state.hypotheses, len(state.poses), rng))
+        state.add_particles(*sample_hypotheses(state.hypotheses, len(state.poses), rng))
         poses = self._motion(moved)(state.poses, rng)  # x_t ~ p(x_t | u_t, x_t-1)
         log_likelihood = self._likelihood(beams)
         log_weights = state.log_weights + log_likelihood(poses)  # w_t = w_t-1 p(z_t | x_t, m)
@@ -294,7 +292,7 @@ class MonteCarloLocalization:
 
         def share(beams: Beams) -> float:
             pose = self._match(guess, state.estimate.covariance, beams)
-            return float(self._inlier_ratio(beams)(pose[None])[0])
+            return float(self.map.inlier_ratio(beams.ends)(pose[None])[0])
 
         order = BeamOrder().learn(beams, twist, share).best(self.configuration.beam_order_margin)
         return beams.deskew(order * twist)
@@ -321,7 +319,7 @@ class MonteCarloLocalization:
         if report.lost:
             return replace(report, pose=self._match(report.pose, report.covariance, beams))
         pose = self._match_from_several(report.pose, report.covariance, beams)
-        covariance = self.configuration.match_covariance(self.map, matcher, pose, report.covariance + _ROUNDING, beams)
+        covariance = compute_match_covariance(self.map, matcher, pose, report.covariance + _ROUNDING, beams)
         return replace(report, pose=pose, covariance=covariance)
 
     def _match(self, pose: FloatArray, covariance: FloatArray, beams: Beams) -> FloatArray:
@@ -389,10 +387,6 @@ class MonteCarloLocalization:
             return np.ones(len(beams), np.bool_)
         return ~self.map.ends_beyond(pose, beams.ends, beams.origin)
 
-    def _inlier_ratio(self, beams: Beams) -> PoseLikelihood:
-        """Return share (N,) of the beams that agree with the map at poses (N, 3)."""
-        return self.map.inlier_ratio(beams.ends)
-
     def _inject_particles(
         self,
         poses: FloatArray,
@@ -403,7 +397,7 @@ class MonteCarloLocalization:
         rng: np.random.Generator,
     ) -> tuple[FloatArray, FloatArray]:
         """Mix particles into the belief that stand for a share of it, even over the map, and are weighed like it."""
-        drawn, log_drawn = self.configuration.proposal(self.map, beams, log_likelihood, share, rng)
+        drawn, log_drawn = propose_poses(self.map, beams, log_likelihood, share, rng)
         if share == 1:
             return drawn, log_drawn
         mixed = np.concatenate([log_weights + math.log1p(-share), log_drawn + math.log(share)])
@@ -425,13 +419,11 @@ class MonteCarloLocalization:
         rng: np.random.Generator,
     ) -> LocalizationReport:
         """Report of an update, before resampling; stores the estimate and the pose hypotheses in the state."""
-        agree = self._inlier_ratio(beams)
+        agree = self.map.inlier_ratio(beams.ends)
         estimate = estimate_pose(state.poses, weights)
         state.inlier_ratio = float(agree(estimate.pose[None])[0])
         state.update_estimate(estimate, moved)
-        state.hypotheses = self.configuration.hypotheses(
-            state.hypotheses, moved, estimate, state.poses, weights, agree, rng
-        )
+        state.hypotheses = update_hypotheses(state.hypotheses, moved, estimate, state.poses, weights, agree, rng)
         self._verify_place(state, moved, beams, share, rng)
         return LocalizationReport(
             scan.stamp_ns,
@@ -454,30 +446,20 @@ class MonteCarloLocalization:
         Where the reported place is one of a `share` of particles drawn from all over the map, odometry may not connect
         this scan with those before.
         """
-        verification = self.configuration.verification
-        tracker = self.configuration.hypotheses
-        if not verification.scans:
-            return
         before = NO_SCANS if share and not state.driven_since_found_m else state.recent
-        state.recent = before.append(moved, beams, verification.scans)
+        state.recent = before.append(moved, beams, MOST_SCANS)
         reported = state.estimate.pose
         if state.outside_log_odds is None:
-            state.outside_log_odds = verification.compute_outside_log_odds(
-                self.map, reported, state.recent, tracker, rng
-            )
+            state.outside_log_odds = compute_outside_log_odds(self.map, reported, state.recent, rng)
         else:
-            state.outside_log_odds = verification.update_outside_log_odds(
-                state.outside_log_odds, self.map, reported, state.recent
-            )
+            state.outside_log_odds = update_outside_log_odds(state.outside_log_odds, self.map, reported, state.recent)
         if state.verified or self._lost_probability(state) > self.configuration.lost_above:
             return
-        found, alike_m = verification(
-            self.map, reported, state.recent, lambda guesses: self._match_near(guesses, _CLUSTER, beams), tracker, rng
+        found, alike_m = find_rivals(
+            self.map, reported, state.recent, lambda guesses: self._match_near(guesses, _CLUSTER, beams), rng
         )
-        state.outside_log_odds = verification.bound_outside_log_odds(
-            state.outside_log_odds, state.driven_since_found_m, alike_m
-        )
-        state.hypotheses = tracker.join(state.hypotheses, found, reported)
+        state.outside_log_odds = bound_outside_log_odds(state.outside_log_odds, state.driven_since_found_m, alike_m)
+        state.hypotheses = join_hypotheses(state.hypotheses, found, reported)
         state.verified = self._lost_probability(state) <= self.configuration.lost_above
 
     def _report_skipped(

@@ -9,15 +9,22 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterator
-from typing import Annotated, NamedTuple, final
+from typing import Annotated, NamedTuple
 
 import numpy as np
 
 from gridslam.geometry.se2 import between, compose
-from gridslam.localization.belief import HypothesisTracker, PoseHypotheses, cluster_bins, is_in_cluster
+from gridslam.localization.belief import (
+    PoseHypotheses,
+    cluster_bins,
+    compute_evidence,
+    is_in_cluster,
+    refine_places,
+    without_refuted,
+)
 from gridslam.localization.known_map import KnownMap
+from gridslam.localization.recovery import SAMPLES_MAX, SAMPLES_PER_M2, SEARCH_SCALE_M
 from gridslam.models.endpoint import CauchyEndPoint
-from gridslam.parameters import bounded, parameters
 from gridslam.types import BeamEnds, FloatArray
 
 _BEAMS = 60
@@ -74,134 +81,113 @@ CERTAINLY_INSIDE = _OUTSIDE_LIMITS[0]
 """Log odds of being outside the map where the pose is given."""
 
 
-@final
-@parameters(frozen=True)
-class PlaceVerification:
-    """Searches the whole map for places that fit the last scans as well as the reported one.
+MOST_SCANS = 48
+"""So many of the last scans are remembered: one each 0.2 m, so that the first is 10 m away. Poses are refined at each,
+so the drift of the odometry does not matter."""
 
-    Poses spread evenly over the free space are compared with the newest scan. The best one of each cluster is moved to
-    where the scan fits best, and followed backward through the scans before, as `HypothesisTracker` follows hypotheses
-    forward. Those that no scan refutes become hypotheses, which later scans have to refute.
+_MAX_PLACES = 256
+"""So many clusters are followed backward, those with most agreeing beams."""
+
+
+def find_rivals(
+    known_map: KnownMap,
+    reported: FloatArray,
+    recent: RecentScans,
+    match: Callable[[FloatArray], FloatArray],
+    rng: np.random.Generator,
+) -> tuple[PoseHypotheses, float]:
+    """Find the places that the scans do not distinguish from a reported pose (3,), and how soon they refute others.
+
+    The whole map is searched. Poses spread evenly over the free space are compared with the newest scan. The best one
+    of each cluster is moved to where the scan fits best, and followed backward through the scans before, as
+    `update_hypotheses` follows hypotheses forward. Those that no scan refutes are found, and later scans have to refute
+    them.
 
     Parameters
     ----------
-    scans : int, >= 0
-        So many of the last scans are remembered: of 48, one each 0.2 m, the first is 10 m away. Poses are refined at
-        each, so the drift of the odometry does not matter. 0: no verification.
-    samples_per_m2 : float, 1/m^2, > 0
-        How many poses are compared with the newest scan: 500 put ten within 0.3 m and 10 degrees of every pose.
-    samples_max : int, >= 1
-        At most.
-    scale_m : float, m, > 0
-        Distance at which a beam agrees by half there: as wide as these poses are apart.
-    places_max : int, >= 1
-        So many clusters are followed backward, those with most agreeing beams.
+    recent : RecentScans
+        One at least.
+    match : callable
+        Moves poses (K, 3) to where the newest scan fits best.
+
+    Returns
+    -------
+    PoseHypotheses
+        Places at the newest scan, and their odds relative to the reported one.
+    float, m
+        Mean way after which places that look alike in the newest scan are refuted; 0 if there are none. By the
+        maximum likelihood for exponential survival: all ways together, those of places that are not refuted yet
+        among them, by the number of refuted ones.
 
     References
     ----------
     After A. Milstein, J. Sanchez and E. Williamson, Robust global localization using clustered particle
     filtering (AAAI 2002): places are compared until all but one are refuted.
     """
+    places = match(_search(known_map, recent.ends[-1], rng))
+    places = places[~is_in_cluster(places, reported)]
+    odds, alike, alike_m, way_m = np.zeros(len(places)), np.ones(len(places), bool), np.zeros(len(places)), 0.0
+    for k, _, agreement in _follow_back(known_map, np.concatenate([reported[None], places]), recent, rng):
+        odds += compute_evidence(agreement[1:] - agreement[0])
+        if k + 1 < len(recent.poses):
+            way_m += math.dist(recent.poses[k, :2], recent.poses[k + 1, :2])
+        else:
+            alike = odds > -_ALIKE
+        alike_m[odds > -_UNLIKE] = way_m
+    refuted = int((odds[alike] <= -_UNLIKE).sum())
+    return without_refuted(places, odds), float(alike_m[alike].sum()) / max(refuted, 1)
 
-    scans: int = bounded(48, ge=0, le=10_000)
-    samples_per_m2: float = bounded(500.0, ge=1e-9, le=1e4)
-    samples_max: int = bounded(1_000_000, ge=1, le=10_000_000)
-    scale_m: float = bounded(0.2, ge=1e-6, le=1e6)
-    places_max: int = bounded(256, ge=1, le=100_000)
 
-    def __call__(
-        self,
-        known_map: KnownMap,
-        reported: FloatArray,
-        recent: RecentScans,
-        match: Callable[[FloatArray], FloatArray],
-        tracker: HypothesisTracker,
-        rng: np.random.Generator,
-    ) -> tuple[PoseHypotheses, float]:
-        """Find the places that the scans do not distinguish from a reported pose (3,), and how soon they refute others.
+def compute_outside_log_odds(
+    known_map: KnownMap,
+    reported: FloatArray,
+    recent: RecentScans,
+    rng: np.random.Generator,
+) -> float:
+    """Return the log odds of being outside the map against being at a reported pose (3,).
 
-        Parameters
-        ----------
-        recent : RecentScans
-            One at least.
-        match : callable
-            Moves poses (K, 3) to where the newest scan fits best.
-        tracker : HypothesisTracker
-            Compares places by a scan.
+    Beams that end before the walls of a map are no evidence: people and furniture come and go. Those that went
+    through walls contradict the place, at any of the last scans.
+    """
+    log_odds = _OUTSIDE_PRIOR
+    for k, followed, _ in _follow_back(known_map, reported[None], recent, rng):
+        log_odds += _outside_evidence(known_map, followed[0], recent.ends[k], recent.origins[k])
+    return float(np.clip(log_odds, *_OUTSIDE_LIMITS))
 
-        Returns
-        -------
-        PoseHypotheses
-            Places at the newest scan, and their odds relative to the reported one.
-        float, m
-            Mean way after which places that look alike in the newest scan are refuted; 0 if there are none. By the
-            maximum likelihood for exponential survival: all ways together, those of places that are not refuted yet
-            among them, by the number of refuted ones.
-        """
-        places = match(self._search(known_map, recent.ends[-1], rng))
-        places = places[~is_in_cluster(places, reported)]
-        odds, alike, alike_m, way_m = np.zeros(len(places)), np.ones(len(places), bool), np.zeros(len(places)), 0.0
-        for k, _, agreement in _follow_back(known_map, np.concatenate([reported[None], places]), recent, tracker, rng):
-            odds += tracker.evidence(agreement[1:] - agreement[0])
-            if k + 1 < len(recent.poses):
-                way_m += math.dist(recent.poses[k, :2], recent.poses[k + 1, :2])
-            else:
-                alike = odds > -_ALIKE
-            alike_m[odds > -_UNLIKE] = way_m
-        refuted = int((odds[alike] <= -_UNLIKE).sum())
-        return tracker.without_refuted(places, odds), float(alike_m[alike].sum()) / max(refuted, 1)
 
-    def compute_outside_log_odds(
-        self,
-        known_map: KnownMap,
-        reported: FloatArray,
-        recent: RecentScans,
-        tracker: HypothesisTracker,
-        rng: np.random.Generator,
-    ) -> float:
-        """Return the log odds of being outside the map against being at a reported pose (3,).
+def update_outside_log_odds(log_odds: float, known_map: KnownMap, reported: FloatArray, recent: RecentScans) -> float:
+    """Return these log odds after one more scan, the newest one, at the same place."""
+    added = _outside_evidence(known_map, reported, recent.ends[-1], recent.origins[-1])
+    return float(np.clip(log_odds + added, *_OUTSIDE_LIMITS))
 
-        Beams that end before the walls of a map are no evidence: people and furniture come and go. Those that went
-        through walls contradict the place, at any of the last scans.
-        """
-        log_odds = _OUTSIDE_PRIOR
-        for k, followed, _ in _follow_back(known_map, reported[None], recent, tracker, rng):
-            log_odds += _outside_evidence(known_map, followed[0], recent.ends[k], recent.origins[k])
-        return float(np.clip(log_odds, *_OUTSIDE_LIMITS))
 
-    def update_outside_log_odds(
-        self, log_odds: float, known_map: KnownMap, reported: FloatArray, recent: RecentScans
-    ) -> float:
-        """Return these log odds after one more scan, the newest one, at the same place."""
-        added = _outside_evidence(known_map, reported, recent.ends[-1], recent.origins[-1])
-        return float(np.clip(log_odds + added, *_OUTSIDE_LIMITS))
+def bound_outside_log_odds(log_odds: float, driven_m: float, alike_m: float) -> float:
+    """Return these log odds, but no less than by for how long places of this map look alike.
 
-    def bound_outside_log_odds(self, log_odds: float, driven_m: float, alike_m: float) -> float:
-        """Return these log odds, but no less than by for how long places of this map look alike.
+    Outside the map there are such places, too, and the scans refute them no sooner. So where those in the map are
+    alike for `alike_m`, a place that agreed for `driven_m` is no more certain than exp(-driven_m / alike_m).
+    """
+    return max(log_odds, _OUTSIDE_PRIOR - driven_m / max(alike_m, 1e-9))
 
-        Outside the map there are such places, too, and the scans refute them no sooner. So where those in the map are
-        alike for `alike_m`, a place that agreed for `driven_m` is no more certain than exp(-driven_m / alike_m).
-        """
-        return max(log_odds, _OUTSIDE_PRIOR - driven_m / max(alike_m, 1e-9))
 
-    def _search(self, known_map: KnownMap, ends: FloatArray, rng: np.random.Generator) -> FloatArray:
-        """Return poses (K, 3) where most beams with these ends agree, one of each cluster, the best first."""
-        count = int(min(self.samples_per_m2 * known_map.free_area_m2, self.samples_max)) + 1
-        poses = known_map.sample_poses(count, rng)
-        scores = known_map.inlier_ratio(ends[::2], CauchyEndPoint(scale_m=self.scale_m, tempering=1.0))(poses)
-        order = np.argsort(-scores, kind="stable")
-        best = np.unique(cluster_bins(*poses[order].T.copy()), return_index=True)[1]
-        return poses[order[np.sort(best)[: self.places_max]]]
+def _search(known_map: KnownMap, ends: FloatArray, rng: np.random.Generator) -> FloatArray:
+    """Return poses (K, 3) where most beams with these ends agree, one of each cluster, the best first."""
+    count = int(min(SAMPLES_PER_M2 * known_map.free_area_m2, SAMPLES_MAX)) + 1
+    poses = known_map.sample_poses(count, rng)
+    scores = known_map.inlier_ratio(ends[::2], CauchyEndPoint(scale_m=SEARCH_SCALE_M, tempering=1.0))(poses)
+    order = np.argsort(-scores, kind="stable")
+    best = np.unique(cluster_bins(*poses[order].T.copy()), return_index=True)[1]
+    return poses[order[np.sort(best)[:_MAX_PLACES]]]
 
 
 def _follow_back(
-    known_map: KnownMap, places: FloatArray, recent: RecentScans, tracker: HypothesisTracker, rng: np.random.Generator
+    known_map: KnownMap, places: FloatArray, recent: RecentScans, rng: np.random.Generator
 ) -> Iterator[tuple[int, FloatArray, FloatArray]]:
     """Follow places (K, 3) at the newest scan back through all; yield each scan's number, its poses and agreement."""
     for k in reversed(range(len(recent.poses))):
         if k + 1 < len(recent.poses):
             places = compose(places, between(recent.poses[k + 1], recent.poses[k]))
-        places, agreement = tracker.refine(places, known_map.inlier_ratio(recent.ends[k]), rng)
+        places, agreement = refine_places(places, known_map.inlier_ratio(recent.ends[k]), rng)
         yield k, places, agreement
 
 

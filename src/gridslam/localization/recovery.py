@@ -9,6 +9,7 @@ import numpy as np
 
 from gridslam.arguments import SHARE
 from gridslam.geometry.angles import wrap
+from gridslam.localization.belief import JITTER
 from gridslam.localization.known_map import KnownMap, PoseLikelihood
 from gridslam.models.endpoint import CauchyEndPoint
 from gridslam.parameters import bounded, parameters
@@ -68,64 +69,47 @@ class AugmentedRecovery:
         return InlierRatioAverages(slow, fast), seen * max(0.0, 1 - fast / slow) if slow > 0 else 0.0
 
 
-@final
-@parameters(frozen=True)
-class MeasurementProposal:
-    """Draws poses from all over the map, more of them where the scan fits, and weighs them so that they stand for all.
+SAMPLES_PER_M2 = 500.0
+"""How many poses are looked at where nothing is known: they put ten within 0.3 m and 10 degrees of every pose."""
+
+SAMPLES_MAX = 1_000_000
+"""At most; they take a second."""
+
+SEARCH_SCALE_M = 0.2
+"""Distance at which a beam agrees by half: as wide as the poses looked at are apart, not as beams are exact."""
+
+_DRAWS = 50_000
+"""How many of them are chosen."""
+
+_CONCENTRATION = 25.0
+"""log q is this multiple of the inlier ratio."""
+
+
+def propose_poses(
+    known_map: KnownMap, beams: Beams, log_likelihood: PoseLikelihood, share: float, rng: np.random.Generator
+) -> tuple[FloatArray, FloatArray]:
+    """Draw poses from all over the map, more of them where the scan fits, and weigh them so that they stand for all.
 
     Poses spread evenly over the free space are as many as are worth a look; those whose beams agree with the map are
-    chosen, and moved a little. Each then carries the importance weight p(z | x) p(x) / q(x), p(x) being even over the
-    free space and q(x) what it was chosen with.
-
-    Parameters
-    ----------
-    samples_per_m2 : float, 1/m^2, > 0
-        How many are looked at where nothing is known: 500 put ten within 0.3 m and 10 degrees of every pose.
-    samples_max : int, >= 1
-        At most; a million take a second.
-    draws : int, >= 1
-        How many of them are chosen.
-    scale_m : float, m, > 0
-        Distance at which a beam agrees by half: as wide as the poses looked at are apart, not as beams are exact.
-    concentration : float, >= 0
-        log q is this multiple of the inlier ratio.
-    jitter_m, jitter_rad : float, m and rad, >= 0
-        Standard deviation of the move, half of what the poses looked at are apart.
+    chosen, and moved a little, half of what the poses looked at are apart. Each then carries the importance weight
+    p(z | x) p(x) / q(x), p(x) being even over the free space and q(x) what it was chosen with. Of all samples a `share`
+    in (0, 1] is drawn; returns poses (K, 3) and log weights (K,), whose sum is the evidence: the mean of p(z | x) over
+    the free space.
 
     References
     ----------
     Probabilistic Robotics, Section 8.3.5 (random particles from the measurement); S. Lenser and M. Veloso,
     Sensor resetting localization for poorly modelled mobile robots, ICRA 2000.
     """
-
-    samples_per_m2: float = bounded(500.0, ge=1e-9, le=1e4)
-    samples_max: int = bounded(1_000_000, ge=1, le=10_000_000)
-    draws: int = bounded(50_000, ge=1, le=10_000_000)
-    scale_m: float = bounded(0.2, ge=1e-6, le=1e6)
-    concentration: float = bounded(25.0, ge=0, le=1e6)
-    jitter_m: float = bounded(0.05, ge=0, le=1e6)
-    jitter_rad: float = bounded(0.03, ge=0, le=100)
-
-    def __call__(
-        self, known_map: KnownMap, beams: Beams, log_likelihood: PoseLikelihood, share: float, rng: np.random.Generator
-    ) -> tuple[FloatArray, FloatArray]:
-        """Sample a `share` in (0, 1] of all samples from this many poses; poses (K, 3) and log weights (K,).
-
-        The weights are such that their sum is the evidence: the mean of p(z | x) over the free space.
-        """
-        count = math.ceil(self.draws * share)
-        samples = math.ceil(min(self.samples_per_m2 * known_map.free_area_m2, self.samples_max) * share)
-        poses = known_map.sample_poses(samples, rng)
-        agree = known_map.condition(CauchyEndPoint(scale_m=self.scale_m, tempering=1.0), beams)
-        log_q = agree(poses) * (self.concentration / len(beams))
-        ends = np.cumsum(np.exp(log_q - log_q.max()))
-        chosen = np.minimum(ends.searchsorted(rng.random(count) * ends[-1], side="right"), len(poses) - 1)
-        log_mean_q = math.log(ends[-1] / len(poses)) + log_q.max()
-        poses = self._moved(known_map, poses[chosen], rng)
-        return poses, log_likelihood(poses) + log_mean_q - log_q[chosen] - math.log(count)
-
-    def _moved(self, known_map: KnownMap, poses: FloatArray, rng: np.random.Generator) -> FloatArray:
-        """Jitter poses (N, 3), but none out of the free space."""
-        moved = poses + rng.normal(size=poses.shape) * [self.jitter_m, self.jitter_m, self.jitter_rad]
-        moved[:, 2] = wrap(moved[:, 2])
-        return np.where(known_map.is_free(moved)[:, None], moved, poses)
+    count = math.ceil(_DRAWS * share)
+    samples = math.ceil(min(SAMPLES_PER_M2 * known_map.free_area_m2, SAMPLES_MAX) * share)
+    poses = known_map.sample_poses(samples, rng)
+    agree = known_map.condition(CauchyEndPoint(scale_m=SEARCH_SCALE_M, tempering=1.0), beams)
+    log_q = agree(poses) * (_CONCENTRATION / len(beams))
+    ends = np.cumsum(np.exp(log_q - log_q.max()))
+    chosen = np.minimum(ends.searchsorted(rng.random(count) * ends[-1], side="right"), len(poses) - 1)
+    log_mean_q = math.log(ends[-1] / len(poses)) + log_q.max()
+    moved = poses[chosen] + rng.normal(size=(count, 3)) * JITTER
+    moved[:, 2] = wrap(moved[:, 2])
+    poses = np.where(known_map.is_free(moved)[:, None], moved, poses[chosen])  # none out of the free space
+    return poses, log_likelihood(poses) + log_mean_q - log_q[chosen] - math.log(count)

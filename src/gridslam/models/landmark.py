@@ -104,11 +104,7 @@ class LandmarkStep:
         """p(x_t | u_t, x_{t-1}): with the increment's own covariance if the log contains one, else by the model."""
         if self.covariance is None:
             return model(self.increment)
-        variances, axes = np.linalg.eigh(self.covariance)
-        root = axes * np.sqrt(np.maximum(variances, 0.0))
-        return GaussianIncrement(
-            np.zeros(3), np.ones(3), self.increment, root, lambda noise: self.increment + noise @ root.T
-        )
+        return GaussianIncrement.with_covariance(self.increment, self.covariance)
 
 
 _Row: TypeAlias = Sequence[FloatArray | float]

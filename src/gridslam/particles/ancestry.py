@@ -21,7 +21,6 @@ class _Level(NamedTuple):
 
     poses: FloatArray  # (K, 3)
     parents: IntArray  # (K,) places in the level before
-    direct: bool = False  # whether these are 0 to K - 1, as between two resamplings
 
 
 @final
@@ -30,28 +29,23 @@ class Ancestry:
     """Who descends from whom, so that the full trajectory of any particle can be had.
 
     All particles step together, so the tree is kept level by level: the nodes of step t and, for each, its parent's
-    place among those of step t - 1. Nodes without a living descendant are dropped, from the newest level back to one
-    that loses nothing: at the resampling before which the nodes are twice those that the last such pass left, so that a
-    resampling costs little however long the past, and before the arrays are given away. Steps where a single node is
-    left, hence the past that all particles share, move into the trunk, a plain array. Memory is the trunk's 24 bytes a
-    step plus 32 bytes for each node since the last common ancestor of all, up to twice that before such a pass; the
-    ancestor lies of the order of N resamplings back, however long the run. Where nothing is ever resampled nothing can
-    be forgotten.
+    place among those of step t - 1. At a resampling nodes without a living descendant are dropped, from the newest
+    level back to one that loses nothing. Steps where a single node is left, hence the past that all particles share,
+    move into the trunk, a plain array. Memory is the trunk's 24 bytes a step plus 32 bytes for each node since the last
+    common ancestor of all, which lies of the order of N resamplings back, however long the run. Where nothing is ever
+    resampled nothing can be forgotten.
 
     What else belongs to a pose for good may stand behind it: then there are W > 3 numbers where 3 are spoken of.
 
     A state has one owner: `extend` and `resample` change the object; `snapshot` keeps a copy for later.
     """
 
-    __slots__ = ("_extended", "_kept", "_leaves", "_levels", "_pruned", "_trunk", "_width")
+    __slots__ = ("_leaves", "_levels", "_trunk", "_width")
 
     def __init__(self, leaves: IntArray, levels: list[_Level], trunk: FloatArray) -> None:
         """Take the parts as they are, without dead nodes; use `start` or `from_arrays`."""
         self._leaves = leaves  # (N,) each particle's place in the newest level
-        self._extended = False  # whether that is its number: nothing was resampled since the newest level
         self._levels = levels
-        self._pruned = len(levels)  # the levels that were there when dead nodes were last dropped
-        self._kept = self._nodes  # and their nodes
         self._trunk = array("d", trunk.tobytes())
         self._width: int = trunk.shape[1]
 
@@ -79,10 +73,8 @@ class Ancestry:
         expected = len(self), self._width
         if copy.shape != expected:
             raise ArgumentError("poses", f"shape {expected}", copy.shape)
-        self._levels.append(_Level(copy, self._leaves, self._extended and len(self._levels) > 0))
-        if not self._extended:
-            self._leaves = np.arange(len(copy), dtype=np.int64)
-            self._extended = True
+        self._levels.append(_Level(copy, self._leaves))
+        self._leaves = np.arange(len(copy), dtype=np.int64)
         self._coalesce()
 
     def resample(self, parents: ArrayLike) -> None:
@@ -104,17 +96,12 @@ class Ancestry:
         if chosen.min() < 0 or chosen.max() >= len(self):
             raise ArgumentError("parents", f"indices in [0, {len(self)})", f"{chosen.min()} to {chosen.max()}")
         self._leaves = self._leaves[chosen]
-        self._extended = False
-        if self._nodes >= 2 * self._kept:
-            self._prune()
+        self._prune()
 
     def retract(self) -> FloatArray:
         """Take back the newest of at least two steps, also after a resampling; poses (N, 3) of the step before it."""
-        self._extended = False
-        self._prune()
         if self._levels:
             self._leaves = self._levels.pop().parents[self._leaves]
-            self._pruned = len(self._levels)
             if self._levels:
                 return self._levels[-1].poses[self._leaves]
         else:
@@ -138,7 +125,6 @@ class Ancestry:
 
     def snapshot(self) -> Ancestry:
         """Return an independent copy; it shares the levels, which are never written to, and copies the trunk."""
-        self._prune()
         return Ancestry(self._leaves, list(self._levels), self._trunk_poses)
 
     def __len__(self) -> int:
@@ -171,7 +157,6 @@ class Ancestry:
             being a place among the nodes of the step before (0 for the trunk's end, and where there is none);
             `leaves` (N,) int64: each particle's place among the nodes of the last step.
         """
-        self._prune()
         return {
             "trunk": self._trunk_poses,
             "counts": np.array([len(level.parents) for level in self._levels], dtype=np.int64),
@@ -206,38 +191,21 @@ class Ancestry:
         ancestry._coalesce()
         return ancestry
 
-    @property
-    def _nodes(self) -> int:
-        """Number of nodes of all levels."""
-        return sum(len(level.parents) for level in self._levels)
-
     def _prune(self) -> None:
         """Drop nodes without a living descendant."""
-        used, direct = self._leaves, False
-        kept = numbers = used
+        used = self._leaves
         for k in range(len(self._levels) - 1, -1, -1):
-            poses, parents, direct_here = self._levels[k]
-            places = numbers
-            if not direct:  # else each node has one descendant in the level after it: the same ones are kept
-                alive = np.zeros(len(parents), dtype=np.bool_)
-                alive[used] = True
-                kept = alive.nonzero()[0]
-                numbers = np.arange(len(kept))
-                place = np.empty(len(alive), np.int64)
-                place[kept] = numbers
-                places = place[used]
-            if len(kept) == len(parents) and k < self._pruned:
+            poses, parents = self._levels[k]
+            kept, places = np.unique(used, return_inverse=True)
+            if len(kept) == len(parents):
                 break
             if k + 1 < len(self._levels):
-                after = self._levels[k + 1]
-                self._levels[k + 1] = _Level(after.poses, places, after.direct)
+                self._levels[k + 1] = self._levels[k + 1]._replace(parents=places)
             else:
                 self._leaves = places
-            used, direct = kept if direct_here else parents[kept], direct_here
-            self._levels[k] = _Level(poses.take(kept, axis=0), used, direct)
+            used = parents[kept]
+            self._levels[k] = _Level(poses[kept], used)
         self._coalesce()
-        self._pruned = len(self._levels)
-        self._kept = self._nodes
 
     def _coalesce(self) -> None:
         """Move the leading levels of a single node into the trunk."""
@@ -246,7 +214,6 @@ class Ancestry:
             self._trunk.frombytes(self._levels[lone].poses.tobytes())
             lone += 1
         del self._levels[:lone]
-        self._pruned -= min(lone, self._pruned)
 
     def _trajectories(self, places: IntArray) -> FloatArray:
         """Return poses (len(places), T, 3) along the pasts of nodes of the newest level."""
@@ -254,8 +221,7 @@ class Ancestry:
         past = np.empty((len(places), self.steps, self._width))
         past[:, : len(trunk)] = trunk
         for k in range(len(self._levels) - 1, -1, -1):
-            poses, parents, direct = self._levels[k]
+            poses, parents = self._levels[k]
             past[:, len(trunk) + k] = poses.take(places, axis=0)
-            if not direct:  # else each is its own parent's place
-                places = parents.take(places)
+            places = parents.take(places)
         return past

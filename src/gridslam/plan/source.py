@@ -10,7 +10,7 @@ import numpy as np
 
 from gridslam.api.session import Session
 from gridslam.doctor.repair import open_repaired
-from gridslam.errors import ArgumentError, InputError
+from gridslam.errors import InputError
 from gridslam.geometry import se2
 from gridslam.io.edits import read_edits
 from gridslam.io.maps import read_map
@@ -44,9 +44,7 @@ class MapSource(NamedTuple):
         return points_of_grid(self.grid) if self.points is None else self.points
 
 
-def read_source(
-    path: str | Path, on_remark: Callable[[str], None] = lambda remark: None, floor: str | None = None
-) -> MapSource:
+def read_source(path: str | Path, on_remark: Callable[[str], None] = lambda remark: None) -> MapSource:
     """Read the source of a plan.
 
     Parameters
@@ -55,21 +53,15 @@ def read_source(
         A map's YAML file, the folder OUT of `gridslam map` or `grid`, or a session NAME.gridslam.
     on_remark : callable
         Gets what is odd, a sentence each; so, that walls are taken from cells, as a folder's log is not there.
-    floor : str, optional
-        Name of one of a session's maps; the newest drive's if not given.
 
     Raises
     ------
     InputError
         Nothing of these is there, or it cannot be read.
-    ArgumentError
-        There is no map of this name.
     """
     path = Path(path)
-    if floor and path.suffix != ".gridslam":
-        raise ArgumentError("floor", "a session, of whose maps one is named", path)
     if path.suffix == ".gridslam":
-        return _read_session(path, floor)
+        return _read_session(path)
     if path.is_dir():
         source, edits = _read_folder(path, on_remark), path / "edits.geojson"
     else:
@@ -78,21 +70,19 @@ def read_source(
     return source._replace(names=tuple((room.name, room.points.mean(axis=0)) for room in rooms))
 
 
-def _read_session(path: Path, floor: str | None) -> MapSource:
-    """A map of a session, and the end points of its key scans."""
+def _read_session(path: Path) -> MapSource:
+    """The newest map of a session, and the end points of its key scans."""
     session = Session.open(path)
     if not session.maps:
         raise InputError(path, "expected a session with a map, got one without a scan")
-    number = session.find_map(floor or None)
-    grid, piece = session.maps[number].whole(), session.pieces[number].piece
+    piece = session.pieces[0].piece
 
     def scans() -> Iterator[tuple[FloatArray, FloatArray]]:
         for key, pose in enumerate(piece.poses):
             scan = piece.scans.key(key)
             yield se2.transform_points(pose, scan.origin[None])[0], se2.transform_points(pose, scan.ends)
 
-    name = f"{path.stem}, {session.names[number]}" if len(session.maps) > 1 else path.stem
-    return _add_scans(MapSource(grid, name), scans())
+    return _add_scans(MapSource(session.map, path.stem), scans())
 
 
 def _read_folder(out: Path, on_remark: Callable[[str], None]) -> MapSource:

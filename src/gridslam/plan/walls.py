@@ -11,7 +11,7 @@ import numpy as np
 from gridslam.plan.faces import Face
 from gridslam.plan.rasters import BoolArray, Raster
 from gridslam.plan.segments import Segments
-from gridslam.plan.untyped import connected_components, coo_matrix, spatial
+from gridslam.plan.untyped import connected_components, coo_matrix, require_map_extra, spatial
 from gridslam.types import FloatArray, IntArray
 
 _PARALLEL_RAD = np.deg2rad(3)
@@ -57,11 +57,6 @@ class Wall:
     def length_m(self) -> float:
         """Length of the piece."""
         return float(np.hypot(*(self.ends[1] - self.ends[0])))
-
-    @property
-    def direction(self) -> float:
-        """Direction from the first end to the second, rad."""
-        return float(np.arctan2(*(self.ends[1] - self.ends[0])[::-1]))
 
     @property
     def outline(self) -> FloatArray:
@@ -180,21 +175,10 @@ def _enclose(points: FloatArray, along: FloatArray) -> FloatArray:
 
 
 def hull(points: FloatArray) -> FloatArray:
-    """Corners (K, 2) of the convex hull of points (N, 2), anticlockwise."""
-    order = np.lexsort(points.T[::-1])
-    ring: list[FloatArray] = []
-    for row in (points[order], points[order[::-1]]):
-        chain: list[FloatArray] = []
-        for point in row:
-            while len(chain) > 1 and _turns_right(chain[-2], chain[-1], point):
-                chain.pop()
-            chain.append(point)
-        ring += chain[:-1]
-    return np.array(ring)
-
-
-def _turns_right(a: FloatArray, b: FloatArray, c: FloatArray) -> bool:
-    return float((b[0] - a[0]) * (c[1] - a[1]) - (b[1] - a[1]) * (c[0] - a[0])) <= 1e-12
+    """Corners (K, 2) of the convex hull of points (N, 2), which are not all in one line, anticlockwise."""
+    _, shapely = require_map_extra()
+    polygon = shapely.geometry.polygon.orient(shapely.convex_hull(shapely.MultiPoint(points)))
+    return np.array(polygon.exterior.coords)[:-1]
 
 
 def _depth_before_wall(k: int, segments: Segments, is_wall: BoolArray) -> float | None:

@@ -25,8 +25,6 @@ def join(*parts: FloatArray) -> FloatArray:
 def polyline(points: ArrayLike, *, closed: bool = False) -> FloatArray:
     """Thin walls (N - 1, 4) through points (N, 2) in m; `closed` adds the one from the last point to the first."""
     nodes = np.asarray(points, dtype=np.float64)
-    if nodes.ndim != 2 or nodes.shape[1] != 2 or len(nodes) < 2:
-        raise ArgumentError("points", "shape (N, 2) with N >= 2", nodes.shape)
     if closed:
         nodes = np.concatenate([nodes, nodes[:1]])
     return np.concatenate([nodes[:-1], nodes[1:]], axis=1)
@@ -72,25 +70,28 @@ def wall(
     return place(join(*pieces), (start[0], start[1], math.atan2(end[1] - start[1], end[0] - start[0])))
 
 
-def room(x0: float, y0: float, x1: float, y1: float, **doors: Sequence[tuple[float, float]]) -> FloatArray:
+def room(
+    x0: float,
+    y0: float,
+    x1: float,
+    y1: float,
+    *,
+    south: Sequence[tuple[float, float]] = (),
+    north: Sequence[tuple[float, float]] = (),
+    west: Sequence[tuple[float, float]] = (),
+    east: Sequence[tuple[float, float]] = (),
+) -> FloatArray:
     """Return four walls around an upright rectangle (centre lines, m).
 
     Parameters
     ----------
     x0, y0, x1, y1 : float, m
         Lower left and upper right corner.
-    **doors
-        Openings as in `wall` for the sides `south`, `north` (from x0 on), `west` and `east` (from y0 on).
-
-    Raises
-    ------
-    ArgumentError
-        For another side, or as `wall` does.
+    south, north, west, east : sequence of (float, float), m
+        Openings of each side as in `wall`, from x0 or from y0 on.
     """
-    ends = {"south": (x0, y0, x1, y0), "north": (x0, y1, x1, y1), "west": (x0, y0, x0, y1), "east": (x1, y0, x1, y1)}
-    if unknown := doors.keys() - ends.keys():
-        raise ArgumentError("doors", f"sides among {', '.join(ends)}", ", ".join(sorted(unknown)))
-    return join(*(wall((a, b), (c, d), doors.get(side, ())) for side, (a, b, c, d) in ends.items()))
+    ends = ((x0, y0, x1, y0, south), (x0, y1, x1, y1, north), (x0, y0, x0, y1, west), (x1, y0, x1, y1, east))
+    return join(*(wall((a, b), (c, d), doors) for a, b, c, d, doors in ends))
 
 
 def pillar(x: float, y: float, radius_m: float, sides: int = 16) -> FloatArray:

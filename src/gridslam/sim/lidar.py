@@ -3,11 +3,10 @@
 from __future__ import annotations
 
 import math
-from typing import Annotated, Literal, final
+from typing import Literal, final
 
 import numpy as np
 
-from gridslam.arguments import Limits
 from gridslam.checked import checked
 from gridslam.parameters import bounded, parameters
 from gridslam.sim.floor_plan import near
@@ -29,8 +28,6 @@ class LidarConfig:
     ----------
     beams : int, >= 1
         Beams of a scan.
-    fewest_beams : int, >= 0
-        Each scan has another number of beams, from this one to `beams`, spread over the same angle; 0: always `beams`.
     field_of_view_rad : float, rad, (0, 2 pi]
         Angle they are spread over, symmetric about the laser's forward axis.
     clockwise : bool
@@ -60,7 +57,6 @@ class LidarConfig:
     """
 
     beams: int = bounded(180, ge=1)
-    fewest_beams: int = bounded(0, ge=0)
     field_of_view_rad: float = bounded(math.pi, gt=0, le=math.tau)
     clockwise: bool = False
     range_max_m: float = bounded(30.0, gt=0)
@@ -77,27 +73,18 @@ class LidarConfig:
     reports_beam_times: bool = True
     sensor: str = "laser"
 
-    def __post_init__(self) -> None:
-        """Refuse parameters that do not go together."""
-        if self.fewest_beams > self.beams:
-            raise ValueError("fewest_beams must not exceed beams")
-
     @property
     def bearings(self) -> FloatArray:
-        """Bearings (beams,) in rad of a scan of all beams; see `spread`."""
-        return self.spread(self.beams)
-
-    def spread(self, beams: Annotated[int, Limits(0, 1 << 24)]) -> FloatArray:
-        """Return bearings (beams,) in rad in the order in which they are measured: ascending unless `clockwise`.
+        """Bearings (beams,) in rad in the order in which they are measured: ascending unless `clockwise`.
 
         An odd number of beams includes both ends of the field of view, an even number (and a full circle) leaves the
         last one out: the rule by which CARMEN logs, which hold no angles, are read. A single beam looks ahead.
         """
-        if beams == 1:
+        if self.beams == 1:
             return np.zeros(1)
-        whole = beams % 2 == 0 or self.field_of_view_rad == math.tau
-        step = self.field_of_view_rad / (beams if whole else beams - 1)
-        bearings = -self.field_of_view_rad / 2 + step * np.arange(beams, dtype=np.float64)
+        whole = self.beams % 2 == 0 or self.field_of_view_rad == math.tau
+        step = self.field_of_view_rad / (self.beams if whole else self.beams - 1)
+        bearings = -self.field_of_view_rad / 2 + step * np.arange(self.beams, dtype=np.float64)
         return -bearings if self.clockwise else bearings
 
     def times(self, duration_s: float) -> FloatArray:
@@ -105,9 +92,10 @@ class LidarConfig:
         count = math.floor((duration_s - self.begin_s) * self.rate_hz + 1e-9) + 1
         return self.begin_s + np.arange(count, dtype=np.float64) / self.rate_hz
 
-    def beam_times(self, beams: int) -> FloatArray:
+    @property
+    def beam_times_s(self) -> FloatArray:
         """When each beam (beams,) is measured, in s after the stamp."""
-        return self.scan_time_s / beams * np.arange(beams, dtype=np.float64)
+        return self.scan_time_s / self.beams * np.arange(self.beams, dtype=np.float64)
 
     @property
     def mounting(self) -> FloatArray:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
-from functools import cache
 from typing import final
 
 import numpy as np
@@ -161,45 +160,38 @@ def _record(
     """Return scans of one lidar, with the robot at true poses (N, 3) on legs (N,) of its route."""
     truth, legs = drive
     seconds = lidar.times(way.duration_s)
-    counts = np.full(len(seconds), lidar.beams)
-    if lidar.fewest_beams:
-        counts = rng.integers(lidar.fewest_beams, lidar.beams, len(seconds), endpoint=True)
     ranges = np.full((len(seconds), lidar.beams), np.inf)
     for part, walls in world.stretches(legs, _TOGETHER):
-        for count in np.unique(counts[part]).tolist():
-            some = part.start + np.flatnonzero(counts[part] == count)
-            at = (truth[some], seconds[some])
-            lasers, to_walls = _cast(lidar, way, walls, *at, lidar.spread(count))
-            ranges[some, :count] = np.minimum(to_walls, crowd(*at, lasers, lidar.spread(count)))
+        at = (truth[part], seconds[part])
+        lasers, to_walls = _cast(lidar, way, walls, *at)
+        ranges[part] = np.minimum(to_walls, crowd(*at, lasers, lidar.bearings))
     measured = measure(ranges, lidar, rng)
-
-    @cache
-    def geometry(beams: int) -> ScanGeometry:
-        return ScanGeometry.planar(lidar.spread(beams), lidar.mounting)
-
+    geometry = ScanGeometry.planar(lidar.bearings, lidar.mounting)
+    beam_times_s = lidar.beam_times_s if lidar.scan_time_s and lidar.reports_beam_times else None
     return (
         LaserScan.from_ranges(
             round(1e9 * stamp_s),
-            row[:count],
-            geometry(count),
+            row,
+            geometry,
             range_max_m=lidar.range_max_m,
             sensor=lidar.sensor,
             frame=lidar.sensor,
-            beam_times_s=lidar.beam_times(count) if lidar.scan_time_s and lidar.reports_beam_times else None,
+            beam_times_s=beam_times_s,
         )
-        for stamp_s, count, row in zip(seconds.tolist(), counts.tolist(), measured, strict=True)
+        for stamp_s, row in zip(seconds.tolist(), measured, strict=True)
     )
 
 
 def _cast(
-    lidar: LidarConfig, way: Drive, walls: FloatArray, poses: FloatArray, seconds: FloatArray, bearings: FloatArray
+    lidar: LidarConfig, way: Drive, walls: FloatArray, poses: FloatArray, seconds: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
     """Where the laser is, (N, 1, 3), or (N, B, 3) at each beam of scans that take time; and the ranges (N, B)."""
+    bearings = lidar.bearings
     if not lidar.scan_time_s:
         lasers = se2.compose(poses, lidar.mounting)
         ascending = slice(None, None, -1 if lidar.clockwise else 1)
         return lasers[:, None], cast_rays(walls, lasers, bearings[ascending], lidar.reach_m)[:, ascending]
-    times = seconds[:, None] + lidar.beam_times(len(bearings))
+    times = seconds[:, None] + lidar.beam_times_s
     moving, _ = way.at(times.ravel())
     lasers = se2.compose(moving, lidar.mounting)
     rays = lasers.copy()

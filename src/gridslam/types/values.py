@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from enum import Enum
 from typing import final
@@ -73,21 +73,6 @@ class Odometry:
     def __repr__(self) -> str:
         """Return one line."""
         return f"Odometry({describe_time(self.stamp_ns)}: {describe_pose(self.pose)})"
-
-    @classmethod
-    def from_rows(cls, stamps_ns: Sequence[int], poses: FloatArray) -> list[Odometry]:
-        """Build many as views of the rows of poses (K, 3), which are checked all at once as by the constructor."""
-        require_array("poses", poses, np.float64, (len(stamps_ns), 3))
-        if not np.isfinite(poses).all():
-            raise ArgumentError("poses", "finite x, y, theta", poses[~np.isfinite(poses).all(axis=1)][0].tolist())
-        new, put = object.__new__, object.__setattr__
-        readings: list[Odometry] = []
-        for stamp_ns, pose in zip(stamps_ns, poses, strict=True):
-            reading = new(cls)
-            put(reading, "stamp_ns", stamp_ns)
-            put(reading, "pose", pose)
-            readings.append(reading)
-        return readings
 
     @classmethod
     def at(cls, stamp_ns: int, pose: ArrayLike) -> Odometry:

@@ -5,15 +5,17 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from gridslam.doctor import Doctor
+from gridslam.doctor.calibration import calibrate
 from gridslam.doctor.finding import Severity
-from gridslam.doctor.motion_findings import MotionExaminer, motion_findings
+from gridslam.doctor.motion_findings import motion_findings
 from gridslam.geometry.angles import wrap
 from support.faults import FAULTS, with_fault
 from support.laser_drives import laser_motion, log, perfect
 
 
 def faults(motion):
-    return {finding.code: finding for finding in motion_findings(motion) if finding.is_fault}
+    return {finding.code: finding for finding in motion_findings(calibrate(motion)) if finding.is_fault}
 
 
 def test_a_clean_log_has_no_fault():
@@ -35,7 +37,7 @@ def test_a_fault_is_named_with_its_size(name):
 )
 def test_a_skew_is_told_with_its_size_and_is_a_fault_where_matching_does_not_make_up_for_it(skew_s, severity):
     motion = laser_motion(with_fault(log()[0], "clock_skew", np.random.default_rng(0), skew_s))
-    (found,) = (finding for finding in motion_findings(motion) if finding.code == "clock_skew")
+    (found,) = (finding for finding in motion_findings(calibrate(motion)) if finding.code == "clock_skew")
     assert found.severity is severity
     assert found.size == pytest.approx(skew_s, rel=0.2)
     assert bool(found.remedy) == (severity is Severity.WARNING)
@@ -67,7 +69,7 @@ def test_a_laser_declared_and_mounted_upside_down_is_none():
 def test_odometry_of_another_robot_is_unrelated():
     motion = perfect(120.0)
     other = np.cumsum(np.random.default_rng(0).normal(0, [0.02, 0.0, 0.05], motion.odometry.shape), axis=0)
-    found = motion_findings(replace(motion, odometry=other))
+    found = motion_findings(calibrate(replace(motion, odometry=other)))
     assert [finding.code for finding in found] == ["odometry_unrelated"]
     assert found[0].severity is Severity.ERROR
 
@@ -76,9 +78,9 @@ def test_odometry_of_another_robot_is_unrelated():
 def test_wheels_are_at_fault_where_all_lasers_see_it_and_are_told_once(both):
     clean = log("rooms")[0]
     faulty = list(with_fault(clean, "odometry_scale", np.random.default_rng(0)))
-    examiner = MotionExaminer()
+    doctor = Doctor()
     for front, rear in zip(faulty, faulty if both else clean, strict=True):
-        examiner.take(front)
-        examiner.take(rear._replace(scan=replace(rear.scan, sensor="rear")))
-    codes = [finding.code for finding in examiner.findings()]
+        doctor.take(front)
+        doctor.take(rear._replace(scan=replace(rear.scan, sensor="rear")))
+    codes = [finding.code for finding in doctor.findings()]
     assert codes.count("odometry_scale") == both

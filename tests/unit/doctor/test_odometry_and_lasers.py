@@ -9,7 +9,7 @@ import pytest
 from gridslam.doctor import Severity
 from gridslam.doctor.diagnose import EarlyCheck
 from gridslam.io.measurement import Measurement
-from gridslam.types import Odometry, ScanGeometry
+from gridslam.types import ScanGeometry
 from support.hand_logs import BEARINGS, drive, findings, seen
 
 
@@ -55,20 +55,6 @@ def test_odometry_that_jumps(metres, radians, told):
         assert "once" in found.message
 
 
-@pytest.mark.parametrize(("turn", "severity"), [(0.3, None), (1.2, Severity.WARNING)])
-def test_turning_too_fast_for_the_scan_rate(turn, severity):
-    def log():
-        heading = 0.0
-        for k, m in enumerate(drive()):
-            heading += turn if k % 20 == 0 else 0.0
-            yield seen(k / 5, m.scan.ranges, (m.odometry.pose[0], 0.0, math.remainder(heading, math.tau)))
-
-    found = findings(log()).get("fast_turning")
-    assert (found and found.severity) == severity
-    if found:
-        assert found.size == pytest.approx(turn)
-
-
 def pitched(tilt_rad, height_m=0.3, roll=False):
     """Geometry of a laser whose nose, or side, is down by `tilt_rad`."""
     c, s = math.cos(tilt_rad), math.sin(tilt_rad)
@@ -87,16 +73,6 @@ def test_a_laser_that_tilts_spoils(roll):
     found = findings(tilted(lambda k: pitched(0.3 * math.sin(k / 5), roll=roll)))["tilting_laser"]
     assert (found.severity, found.unit) == (Severity.ERROR, "rad")
     assert found.size == pytest.approx(0.3, abs=0.005)
-
-
-@pytest.mark.parametrize(("factor", "unit"), [(1000, "millimetres"), (100, "inches or centimetres")])
-def test_an_odometry_in_another_unit_is_named_by_its_speed(factor, unit):
-    far = [m._replace(odometry=Odometry.at(m.scan.stamp_ns, m.odometry.pose * (factor, factor, 1))) for m in drive()]
-    found = findings(far)
-    assert found["odometry_units"].size == pytest.approx(0.3 * factor, rel=0.05)
-    assert f"in {unit}, not in metres" in found["odometry_units"].message
-    assert "odometry_jumps" not in found
-    assert "odometry_units" not in findings(drive(v=1.5))
 
 
 @pytest.mark.parametrize(("factor", "unit"), [(1e3, "milliseconds"), (1e6, "microseconds")])

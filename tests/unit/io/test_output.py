@@ -75,10 +75,6 @@ for version in range(10**6):
 """
 
 
-def leftovers(folder):
-    return [path for path in folder.rglob("*") if path.name.endswith(".partial")]
-
-
 @pytest.mark.parametrize("seed", range(3))
 def test_a_run_that_is_killed_while_it_replaces_a_result_leaves_no_run_json_beside_files_of_another(tmp_path, seed):
     out = tmp_path / "out"
@@ -96,9 +92,6 @@ def test_a_run_that_is_killed_while_it_replaces_a_result_leaves_no_run_json_besi
             continue
         version = json.loads(files.pop("run.json"))["version"]
         assert files == dict.fromkeys(("map.pgm", "map.yaml", "trajectory.tum", "graph.g2o"), f"{version}")
-    with OutputFolder(out):
-        assert len(leftovers(tmp_path)) == 1  # its own
-    assert not leftovers(tmp_path)
 
 
 def test_what_a_living_process_is_writing_stays(tmp_path):
@@ -109,16 +102,6 @@ def test_what_a_living_process_is_writing_stays(tmp_path):
         with OutputFolder(tmp_path / "out"):
             assert first.file("map.pgm").read_text() == "one"
     assert listing(tmp_path / "out") == {"map.pgm": "one"}
-
-
-def test_files_that_were_left_half_written_are_removed(tmp_path):
-    left = tmp_path / ".state.npz.0123abcd.partial"
-    left.mkdir()
-    (left / "state.npz").write_text("half")
-    (tmp_path / "record.csv").write_text("mine")
-    with write_atomically(tmp_path / "state.npz") as path:
-        path.write_text("whole")
-    assert listing(tmp_path) == {"state.npz": "whole", "record.csv": "mine"}
 
 
 def test_all_files_of_a_folder_are_stored_before_it_appears(tmp_path, monkeypatch):
@@ -136,16 +119,3 @@ def test_a_link_to_nothing_is_no_folder(tmp_path):
     for out in (tmp_path / "out", tmp_path / "out" / "below"):
         with pytest.raises(OutputError, match="out is a link to nothing"), OutputFolder(out):
             pytest.fail("the context must not be entered")
-
-
-def test_whatever_a_killed_process_was_writing_in_out_goes_with_its_next_run(tmp_path):
-    """An autosave that was half written, though the next run may never write one; but no file of anybody else."""
-    for name in (".autosave.gridslam.0123abcd.partial", ".autosave.gridslam.0123abcd.partial~", "mine.partial"):
-        (tmp_path / name).mkdir()
-    with write_atomically(tmp_path / "s.gridslam") as path, OutputFolder(tmp_path):
-        path.write_text("whole")  # it is not taken away while it is being written
-    assert sorted(file.name for file in tmp_path.iterdir()) == [
-        ".autosave.gridslam.0123abcd.partial~",
-        "mine.partial",
-        "s.gridslam",
-    ]

@@ -13,12 +13,11 @@ import pytest
 from gridslam.api.session import Session
 from gridslam.config import build, override, preset
 from gridslam.errors import ArgumentError, InputError, OutputError
-from gridslam.io.sessions.archive_file import write_sealed_arrays
+from gridslam.io.sessions.archive_file import read_arrays, write_arrays
 from gridslam.io.sessions.session_file import (
     SESSION_SCHEMA,
     SavedRun,
     SavedSession,
-    read_head,
     read_session,
     write_session,
 )
@@ -140,25 +139,35 @@ def test_what_is_wrong_with_a_file_is_told(file, tmp_path, name, value, message)
     else:
         assert name in arrays
         arrays = {key: array for key, array in arrays.items() if key != name} | ({} if value is None else {name: value})
-    write_sealed_arrays(tmp_path / "bad.gridslam", arrays)
+    write_arrays(tmp_path / "bad.gridslam", arrays)
     with pytest.raises(InputError) as caught:
         read_session(tmp_path / "bad.gridslam")
     assert str(tmp_path / "bad.gridslam") in str(caught.value)
     assert message in str(caught.value)
 
 
-def test_every_changed_byte_is_found(file, tmp_path):
-    """A thousand files, each with one bit changed or cut off somewhere."""
+def test_a_changed_byte_is_found_or_changes_nothing(file, tmp_path):
+    """A thousand files, each with one bit changed or cut off somewhere; some bits of zip mean nothing."""
+    whole = read_arrays(file, SESSION_SCHEMA, "a session")
     content = file.read_bytes()
     rng = np.random.default_rng(3)
     path = tmp_path / "bad.gridslam"
+    found = []
     for _ in range(1000):
         place = int(rng.integers(len(content)))
         changed = bytearray(content)
         changed[place] ^= 1 << int(rng.integers(8))
         path.write_bytes(bytes(changed) if rng.integers(4) else content[:place])
-        with pytest.raises(InputError, match=r"bad\.gridslam"):
-            read_head(path)
+        try:
+            arrays = read_arrays(path, SESSION_SCHEMA, "a session")
+            read_session(path)  # which misses arrays that a changed list of contents has lost
+        except InputError as error:
+            found.append(str(error))
+            continue
+        assert arrays.keys() == whole.keys()
+        assert all(arrays[name].tobytes() == values.tobytes() for name, values in whole.items())
+    assert all("bad.gridslam" in line for line in found)
+    assert len(found) > 900
 
 
 def test_generators_without_plain_state_and_unwritable_places_are_refused(file, tmp_path):

@@ -153,15 +153,15 @@ NONSENSE = [
 ]
 
 
-@pytest.mark.parametrize("text", NONSENSE, ids=lambda text: str(text)[:30])
-def test_a_viewer_that_says_nonsense_is_told_so_and_the_others_stay(text):
+def test_a_viewer_that_says_nonsense_is_told_so_and_the_others_stay():
     with LivePage("loop", FREE) as page, viewing(page.url) as (socket, client):
         receive(socket, client)
-        with viewing(page.url) as (other, _):
-            other.send(text)
-            with pytest.raises(ConnectionClosed) as closed:
-                drain(other)
-            assert closed.value.rcvd.code == 4400
+        for text in NONSENSE:
+            with viewing(page.url) as (other, _):
+                other.send(text)
+                with pytest.raises(ConnectionClosed) as closed:
+                    drain(other)
+                assert closed.value.rcvd.code == 4400, text[:30]
         receive(socket, client)  # a heartbeat
         assert page.viewers == 1
 

@@ -12,20 +12,21 @@ from hypothesis import strategies as st
 from scipy.special import chdtri
 
 from gridslam.geometry.angles import wrap
-from gridslam.localization import KnownMap, MonteCarloConfiguration, MonteCarloLocalization
+from gridslam.localization import KnownMap, MonteCarloConfiguration, MonteCarloLocalization, belief, recovery
 from gridslam.localization.belief import (
     NO_HYPOTHESES,
-    HypothesisTracker,
     PoseEstimate,
     PoseHypotheses,
     estimate_pose,
     propagate_covariance,
+    update_hypotheses,
 )
 from gridslam.localization.kld_sampling import KldSampling
-from gridslam.localization.recovery import AugmentedRecovery, InlierRatioAverages, MeasurementProposal
+from gridslam.localization.recovery import AugmentedRecovery, InlierRatioAverages, propose_poses
 from gridslam.matching.beam_order import BeamOrder
 from gridslam.models.endpoint import LikelihoodField
 from gridslam.particles import Systematic
+from gridslam.particles.kld_sampling import kld_bound
 from gridslam.sim import LidarConfig, OdometryNoise, RobotConfig, World, simulate
 from gridslam.sim.floor_plan import box, join
 from gridslam.types import Beams, LaserScan, OccupancyGrid, ScanGeometry
@@ -114,19 +115,19 @@ def test_averages_are_those_of_the_table():
     assert recovery(averages, 0.0, 0.0) == (averages, 0.0)  # a scan that sees nothing of the map
 
 
-def test_weights_of_drawn_poses_add_up_to_the_evidence():
+def test_weights_of_drawn_poses_add_up_to_the_evidence(monkeypatch):
     """Their sum is the mean of p(z | x) over the free space, whatever they were drawn with: 40 draws against a grid."""
     known, log = KnownMap(flat_map()), drive(1)
     beams = log.measurements[10].scan.beams(0.05, 30.0)
     weigh = known.condition(LikelihoodField(tempering=0.003), beams)
     exact = np.exp(weigh(known.sample_poses(400_000, np.random.default_rng(0)))).mean()
     for concentration in (0.0, 5.0):
-        proposal = MeasurementProposal(
-            concentration=concentration, draws=2000, samples_per_m2=200, jitter_m=0, jitter_rad=0
-        )
+        values = {"_CONCENTRATION": concentration, "_DRAWS": 2000, "SAMPLES_PER_M2": 200, "JITTER": (0, 0, 0)}
+        for name, value in values.items():
+            monkeypatch.setattr(recovery, name, value)
         sums = []
         for seed in range(40):
-            _, log_weights = proposal(known, beams, weigh, 1.0, np.random.default_rng(seed))
+            _, log_weights = propose_poses(known, beams, weigh, 1.0, np.random.default_rng(seed))
             sums.append(np.exp(log_weights).sum())
         assert np.mean(sums) == pytest.approx(exact, abs=5 * np.std(sums) / math.sqrt(40))
         assert np.std(sums) < 0.3 * exact
@@ -148,36 +149,37 @@ def agreeing(*places: tuple[np.ndarray, float]):
     return agree
 
 
-FIXED = HypothesisTracker(jitter_m=0.0, jitter_rad=0.0)
-
-
 def followed(hypotheses: PoseHypotheses, agree, steps: int):
     rng = np.random.default_rng(0)
     for _ in range(steps):
-        hypotheses = FIXED(hypotheses, STILL, ALONE, CLOUD, EVEN, agree, rng)
+        hypotheses = update_hypotheses(hypotheses, STILL, ALONE, CLOUD, EVEN, agree, rng)
     return hypotheses
 
 
-def test_each_cluster_becomes_a_rival_but_that_which_is_told():
+def test_each_cluster_becomes_a_rival_but_that_which_is_told(monkeypatch):
     rng = np.random.default_rng(1)
     poses = np.concatenate([place + 0.05 * rng.standard_normal((100, 3)) for place in (HERE, THERE, [4.0, 8.0, -1.0])])
     weights = np.repeat([0.005, 0.004, 0.001], 100)
     told = PoseEstimate(HERE, np.eye(3), 0.5)
     agree = agreeing((HERE, 0.8), (THERE, 0.8), (np.array([4.0, 8.0, -1.0]), 0.8))
-    hypotheses = HypothesisTracker()(NO_HYPOTHESES, STILL, told, poses, weights, agree, rng)
+    hypotheses = update_hypotheses(NO_HYPOTHESES, STILL, told, poses, weights, agree, rng)
     np.testing.assert_allclose(hypotheses.poses, [THERE, [4.0, 8.0, -1.0]], atol=0.3)
     np.testing.assert_array_equal(hypotheses.log_odds, 0)
     assert hypotheses.odds == pytest.approx(2)
-    assert len(HypothesisTracker(max_hypotheses=1)(NO_HYPOTHESES, STILL, told, poses, weights, agree, rng).poses) == 1
-    assert len(HypothesisTracker(min_mass=0.2)(NO_HYPOTHESES, STILL, told, poses, weights, agree, rng).poses) == 1
+    for name, value in (("_MAX_HYPOTHESES", 1), ("_MIN_MASS", 0.2)):
+        with monkeypatch.context() as changed:
+            changed.setattr(belief, name, value)
+            found = update_hypotheses(NO_HYPOTHESES, STILL, told, poses, weights, agree, rng)
+        assert len(found.poses) == 1
 
 
-def test_what_looks_the_same_stays_and_what_looks_otherwise_goes():
+def test_what_looks_the_same_stays_and_what_looks_otherwise_goes(monkeypatch):
+    monkeypatch.setattr(belief, "JITTER", (0.0, 0.0, 0.0))
     rival = PoseHypotheses(THERE[None], np.zeros(1))
     within = followed(rival, agreeing((HERE, 0.80), (THERE, 0.76)), 500)
     np.testing.assert_array_equal(within.log_odds, 0)  # by less than the map's own errors, 500 times
     once = followed(rival, agreeing((HERE, 0.8), (THERE, 0.4)), 1)
-    assert once.log_odds[0] == pytest.approx(-FIXED.log_odds_per_scan * (0.4 - FIXED.margin))
+    assert once.log_odds[0] == pytest.approx(-belief._LOG_ODDS_PER_SCAN * (0.4 - belief._MARGIN))
     assert not len(followed(rival, agreeing((HERE, 0.8), (THERE, 0.4)), 3).poses)
 
 
@@ -213,11 +215,11 @@ def test_the_bound_is_the_chi_square_quantile(bins):
     """n = chi^2_{k-1, 1-delta} / (2 eps), of which the formula is Wilson and Hilferty's approximation."""
     kld = KldSampling(error=0.02, z=2.3263478740408408)
     exact = chdtri(bins - 1, 0.01) / (2 * 0.02)
-    assert kld.bound(np.array(bins)) == pytest.approx(exact, rel=0.02 if bins < 10 else 0.004, abs=1)
+    assert kld_bound(np.array(bins), kld.error, kld.z) == pytest.approx(exact, rel=0.02 if bins < 10 else 0.004, abs=1)
 
 
 def test_one_bin_asks_for_nothing():
-    assert KldSampling().bound(np.array([0, 1])).tolist() == [0, 0]
+    assert kld_bound(np.array([0, 1]), 0.05, 2.33).tolist() == [0, 0]
 
 
 def one_by_one(kld: KldSampling, poses: np.ndarray, weights: np.ndarray, rng: np.random.Generator) -> int:
@@ -228,7 +230,7 @@ def one_by_one(kld: KldSampling, poses: np.ndarray, weights: np.ndarray, rng: np
         drawn = min(int(ends.searchsorted(rng.random() * ends[-1], side="right")), len(bins) - 1)
         full.add(int(bins[drawn]))
         m += 1
-        if m >= kld.particles_max or (m >= kld.bound(np.array(len(full))) and m >= kld.particles_min):
+        if m >= kld.particles_max or (m >= kld_bound(np.array(len(full)), kld.error, kld.z) and m >= kld.particles_min):
             return m
 
 

@@ -9,9 +9,15 @@ import pytest
 
 from gridslam.geometry.se2 import compose
 from gridslam.localization import KnownMap
-from gridslam.localization.belief import NO_HYPOTHESES, HypothesisTracker, PoseHypotheses
+from gridslam.localization.belief import NO_HYPOTHESES, PoseHypotheses, join_hypotheses
 from gridslam.localization.monte_carlo import MonteCarloConfiguration, MonteCarloLocalization
-from gridslam.localization.place_verification import NO_SCANS, PlaceVerification, RecentScans
+from gridslam.localization.place_verification import (
+    NO_SCANS,
+    RecentScans,
+    bound_outside_log_odds,
+    compute_outside_log_odds,
+    find_rivals,
+)
 from gridslam.types import OccupancyGrid, StoredScan
 
 BEARINGS = np.linspace(-math.pi / 2, math.pi / 2, 61)
@@ -35,9 +41,8 @@ def seen_from(known: KnownMap, pose: np.ndarray) -> np.ndarray:
 
 
 def verify(known: KnownMap, recent: RecentScans, pose: np.ndarray) -> tuple[PoseHypotheses, float]:
-    rng, tracker = np.random.default_rng(0), HypothesisTracker()
-    found, alike_m = PlaceVerification()(known, pose, recent, lambda guesses: guesses, tracker, rng)
-    return tracker.join(NO_HYPOTHESES, found, pose), alike_m  # without what it found where the robot is
+    found, alike_m = find_rivals(known, pose, recent, lambda guesses: guesses, np.random.default_rng(0))
+    return join_hypotheses(NO_HYPOTHESES, found, pose), alike_m  # without what it found where the robot is
 
 
 def drive(known: KnownMap, start: np.ndarray, steps: int) -> tuple[RecentScans, np.ndarray]:
@@ -62,7 +67,7 @@ def test_how_long_places_of_a_map_look_alike_bounds_how_certain_it_is_that_the_r
     alike_m = [verify(known, *drive(known, HERE - [1.6, 0.9, 0.0], 14))[1] for known in rooms]
     assert alike_m[0] == pytest.approx(2.6), "all of the way"
     assert 0 < alike_m[1] < 0.6 * alike_m[0]
-    bounds = [PlaceVerification().bound_outside_log_odds(-5.0, 2.6, one) for one in (*alike_m, 0.0)]
+    bounds = [bound_outside_log_odds(-5.0, 2.6, one) for one in (*alike_m, 0.0)]
     assert bounds[0] > bounds[1] > bounds[2] == -5
 
 
@@ -76,9 +81,7 @@ def half_hall() -> tuple[KnownMap, KnownMap]:
 
 
 def outside_log_odds(known: KnownMap, recent: RecentScans, pose: np.ndarray) -> float:
-    return PlaceVerification().compute_outside_log_odds(
-        known, pose, recent, HypothesisTracker(), np.random.default_rng(0)
-    )
+    return compute_outside_log_odds(known, pose, recent, np.random.default_rng(0))
 
 
 def test_beams_through_walls_say_that_the_robot_is_outside_the_map():

@@ -6,7 +6,7 @@ from PIL import Image
 from gridslam.io.edits import Edit, Edits
 from gridslam.io.maps import occupancy_percent, read_map_description, read_map_image
 from gridslam.io.yaml import parse_yaml
-from gridslam.plan.masks import Mask, describe_filters, make_keepout_mask, make_speed_mask, write_mask
+from gridslam.plan.masks import Mask, make_keepout_mask, make_speed_mask, write_mask
 from gridslam.types import OccupancyGrid
 
 GRID = OccupancyGrid(np.full((20, 40), -4.0, np.float32), np.ones((20, 40), np.bool_), 0.1, (-1.0, 2.0))
@@ -63,21 +63,3 @@ def test_the_lowest_speed_holds_where_zones_overlap():
     mask = make_speed_mask(GRID, Edits((_speed(0, 1, 20.0), _speed(-1, 2, 60.0))))
     assert mask.kind == 1
     assert (mask.values[10, [3, 15, 25, 35]] == [60, 20, 60, 0]).all()
-
-
-def test_the_parameters_name_the_files_topics_and_plugins_of_nav2():
-    empty = np.zeros(GRID.shape, np.int8)
-    tree = parse_yaml(describe_filters({"keepout": Mask(empty, 0), "speed": Mask(empty, 1)}))
-    costmap = tree["global_costmap"]["global_costmap"]["ros__parameters"]
-    assert costmap["filters"] == ["keepout_filter", "speed_filter"]
-    for name, plugin, kind in (("keepout", "KeepoutFilter", 0), ("speed", "SpeedFilter", 1)):
-        assert costmap[f"{name}_filter"]["plugin"] == f"nav2_costmap_2d::{plugin}"
-        info = tree[f"{name}_costmap_filter_info_server"]["ros__parameters"]
-        server = tree[f"{name}_filter_mask_server"]["ros__parameters"]
-        assert info["type"] == kind
-        assert info["filter_info_topic"] == costmap[f"{name}_filter"]["filter_info_topic"]
-        assert info["mask_topic"] == server["topic_name"]
-        assert server["yaml_filename"] == f"{name}_mask.yaml"
-    assert costmap["speed_filter"]["speed_limit_topic"] == "speed_limit"
-    nodes = tree["lifecycle_manager_costmap_filters"]["ros__parameters"]["node_names"]
-    assert set(nodes) == {name for name in tree if name.endswith("server")}

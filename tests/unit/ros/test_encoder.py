@@ -9,8 +9,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from gridslam.io.bags.encoder import MessageEncoder
-from gridslam.io.bags.ros_messages import MessageError, decode_transforms, wire_of_cdr, wire_of_ros1
+from gridslam.io.bags.encoder import MessageEncoder, MessageError
+from gridslam.io.bags.ros_messages import decode_transforms
 from gridslam.ros.node.messages import CloudMessage, Diagnostics, GridMessage, Level, PoseMessage, StampedTransform
 from gridslam.ros.node.outputs import EncodedOutputs
 from gridslam.ros.node.transport import TOPICS
@@ -101,8 +101,7 @@ def test_what_the_node_says_is_what_is_heard(ros):
     assert grid.data.tolist() == cells.ravel().tolist()
     assert grid.header.stamp.sec * 10**9 + grid.header.stamp.nanosec == STAMP
     assert heard["map_metadata"] == grid.info
-    wire = wire_of_ros1(b"") if ros == "ROS 1" else wire_of_cdr(sent["/tf"])
-    assert decode_transforms(sent["/tf"], wire) == [
+    assert decode_transforms(sent["/tf"], encoder) == [
         StampedTransform(STAMP, "map", "odom", (1.0, 2.0, 0.0, 0.0, 0.0, 0.6, 0.8))
     ]
     pose = heard["~/pose"].pose

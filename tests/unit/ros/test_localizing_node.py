@@ -7,8 +7,7 @@ import pytest
 
 from gridslam.errors import ArgumentError, GridslamError, InputError
 from gridslam.geometry.se2 import between
-from gridslam.io.bags.encoder import MessageEncoder
-from gridslam.io.bags.ros_messages import MessageError
+from gridslam.io.bags.encoder import MessageEncoder, MessageError
 from gridslam.io.maps import write_map
 from gridslam.ros import NodeCore
 from gridslam.ros.node.messages import Level

@@ -16,7 +16,6 @@ from gridslam.sim.floor_plan import (
     join,
     near,
     polyline,
-    room,
     wall,
 )
 from gridslam.sim.robot import RobotConfig
@@ -121,16 +120,6 @@ def test_wall_with_doors_keeps_its_thickness_and_leaves_the_openings_free():
     assert _length(walls) == pytest.approx(2 * (10 - 3) + 6 * 0.2)
     middles = np.array([[1.0, 5.0], [1.0, 10.0], [1.0, 7.0]])
     assert clearance(walls, middles) == pytest.approx([0.5, 1.0, 0.1])
-
-
-def test_room_names_the_side_it_does_not_have():
-    with pytest.raises(ArgumentError, match="southeast"):
-        room(0, 0, 6, 4, southeast=[(2.0, 1.0)])
-
-
-def test_polyline_needs_two_points():
-    with pytest.raises(ArgumentError, match="points"):
-        polyline([(0.0, 0.0)])
 
 
 def test_clearance_to_faces_and_corners_and_to_nothing():

@@ -20,9 +20,9 @@ PER_M = 0.1
 
 
 def test_fastslam_by_a_calibrated_odometry_is_as_good_as_by_one_without_systematic_errors():
-    """Four drives once around; the error per metre is found within three standard deviations, 0.004 rad/m each."""
+    """Two drives once around; the error per metre is found within three standard deviations, 0.004 rad/m each."""
     errors = {"exact": [], "told": [], "calibrated": []}
-    for seed in range(4):
+    for seed in range(2):
         exact, truth = drive(ring(12), 160, np.random.default_rng(seed), SENSOR)
         told = [replace(step, increment=step.increment - [0, 0, PER_M * INCREMENT[0]]) for step in exact]
         calibrated = calibrate_odometry(told, EkfSlam(SENSOR, bias=BIAS), MOTION)

@@ -83,9 +83,9 @@ def test_a_rival_that_says_as_much_refutes(seen, monkeypatch):
 
 def decided(best, *, shifted, others=()):
     """Decide with every shift of the best hypothesis having the same log likelihood."""
-    alignment = Alignment(None, None, None, np.zeros(1, int), None)
+    alignment = Alignment(LoopClosureState(), None, None, np.zeros(1, int), None)
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(Alignment, "_draw", lambda *_: None)
+        patch.setattr(component_alignment, "build_map", lambda *_: None)
         patch.setattr(Alignment, "_score_both", lambda *_: (shifted, 1.0, 0.9))
         return alignment.decide([best, *others])
 
@@ -125,7 +125,7 @@ def test_the_lesser_of_both_directions_counts(monkeypatch, there_and_back):
 
 
 @pytest.mark.parametrize("key", [LAP + 31, 2 * LAP - 12], ids=["between", "after"])
-def test_of_a_component_some_key_scans_may_be_tracked(seen, monkeypatch, key):
+def test_of_a_component_some_key_scans_may_be_laid_on_the_map(seen, key):
     """The hit is that of a key scan which is none of them, and its pose is not taken for that of another one."""
     closure_state = interrupted(seen, LAP + 5)
     poses = np.array(closure_state.graph.poses)
@@ -133,13 +133,6 @@ def test_of_a_component_some_key_scans_may_be_tracked(seen, monkeypatch, key):
     assert key not in few
     assert few[0] < key
     known = KnownMap(closure_state.scans, poses, old, build_map(hall.MAPPER, closure_state.scans, old, poses[old]))
-    tried = []
-    score_both = Alignment._score_both
-    monkeypatch.setattr(
-        Alignment, "_score_both", lambda self, at, *rest: tried.append(at) or score_both(self, at, *rest)
-    )
     alignment = Alignment(closure_state, hall.MAPPER, PlaceMatching(), few, known)
-    alignment.track_component([SearchHit(key, compose(seen.truth[key], [0.1, -0.1, 0.01]), 0.9)])
-    assert len(tried) == 2
-    for at in tried:
-        assert np.hypot(*between(seen.truth[few], at)[:, :2].T).max() < 0.1
+    laid = alignment.lay_component([SearchHit(key, compose(seen.truth[key], [0.1, -0.1, 0.01]), 0.9)])
+    assert np.hypot(*between(seen.truth[few], laid.poses)[:, :2].T).max() < 0.1

@@ -48,7 +48,7 @@ class _BatchCommand(click.Command):
 def batch_command(**options: Any) -> int:  # noqa: ANN401
     """Map many logs, or run another command over them, each in a process of its own.
 
-    LOGS are files, folders, URLs, patterns in quotes ('logs/**/*.bag') or manifests: CSV files with a column log and
+    LOGS are files, folders, patterns in quotes ('logs/**/*.bag') or manifests: CSV files with a column log and
     optionally name, reference and options of the command (seed, preset, ...), a line for each log.
 
     \b

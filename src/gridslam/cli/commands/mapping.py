@@ -91,7 +91,7 @@ def demo_command() -> None:
 @json_option
 @calls("sessions:show_session")
 def session_command() -> None:
-    """Show the content of a session FILE: maps by name, drives, logs, dates, sizes, and links of floors."""
+    """Show the content of a session FILE: maps by name, drives, logs, dates and sizes."""
 
 
 @click.command("merge")

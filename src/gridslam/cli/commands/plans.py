@@ -7,14 +7,9 @@ import click
 from gridslam.cli.option_types import PATH, Number
 from gridslam.cli.options import calls, json_option, out_option
 
-_floor_option = click.option(
-    "--floor", metavar="NAME", help="Of a session: the map that is taken.  [default: the newest drive's]"
-)
-
 
 @click.command("plan")
 @click.argument("source", type=PATH)
-@_floor_option
 @out_option
 @click.option(
     "--scale",
@@ -39,7 +34,6 @@ def plan_command() -> None:
 @click.command("changes")
 @click.argument("first", type=PATH)
 @click.argument("second", type=PATH)
-@_floor_option
 @out_option
 @click.option("--same-frame", is_flag=True, help="Both maps have one frame; do not align them by their walls.")
 @json_option
@@ -67,14 +61,13 @@ def mask_command() -> None:
     map's frame: walls, erased, rooms, keep_out, no_go and speed.
 
     Writes to OUT: map.yaml and map.pgm (edited), keepout_mask.yaml and speed_mask.yaml with their images,
-    nav2_filters.yaml (parameters to paste) and edits.geojson (as they lie on this map).
+    and edits.geojson (as they lie on this map).
     """
 
 
 @click.command("align")
 @click.argument("source", metavar="MAP", type=PATH)
 @click.argument("plan", type=PATH)
-@_floor_option
 @out_option
 @click.option(
     "--unit",

@@ -31,8 +31,8 @@ def evaluate_command() -> None:
     TRAJECTORY is in TUM format, stamp x y z qx qy qz qw, or EuRoC's.
 
     REFERENCE is a file of true relative poses (Kuemmerle et al. 2009) if its name ends in .relations; otherwise a true
-    trajectory in the format of TUM, EuRoC or KITTI (a pose for each of TRAJECTORY), for which the absolute (ATE,
-    aligned) and relative (RPE) errors are reported; or, where there is no truth, the log itself: how well its scans,
+    trajectory in the format of TUM or EuRoC, for which the absolute (ATE, aligned) and relative (RPE) errors are
+    reported; or, where there is no truth, the log itself: how well its scans,
     drawn along TRAJECTORY, agree with each other.
     """
 

@@ -12,7 +12,6 @@ from rosbags.serde import SerdeError
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
 from gridslam.errors import ArgumentError
-from gridslam.io.bags.ros_messages import MessageError
 
 Values: TypeAlias = tuple[Any, ...]
 """Values of a message's fields in their order; those of a nested message are such a tuple, too."""
@@ -31,6 +30,10 @@ class Field(NamedTuple):
     name: str
     type: str
     length: int | None
+
+
+class MessageError(ValueError):
+    """The bytes are no such message."""
 
 
 @final

@@ -18,6 +18,7 @@ from gridslam.io.bags.chunks import (
     decompress,
     decompress_file,
 )
+from gridslam.io.bags.encoder import MessageEncoder
 from gridslam.io.bags.mcap import MCAP_MAGIC, McapFormat
 from gridslam.io.bags.ros1 import ROS1_MAGIC, Ros1Format
 from gridslam.io.bags.sqlite import SQLITE_MAGIC, SqliteFile
@@ -46,8 +47,8 @@ class BagSource:
     ----------
     topics : mapping of str to Topic
         All there are.
-    is_ros1 : bool
-        Whether messages are serialized as in ROS 1; else as in ROS 2.
+    encoder : MessageEncoder
+        Of its messages, by ROS 1 or ROS 2.
     total_bytes, bytes_read : int
         Size, and how much of it the latest reading has taken in.
     missing_files : tuple of str
@@ -67,7 +68,7 @@ class BagSource:
         self.missing_files = _missing_files(path, files) if path.is_dir() else ()
         self._storages = [_Storage(file, keep_truncated) for file in files]
         self._storages.sort(key=lambda storage: storage.start_ns)
-        self.is_ros1 = any(storage.is_ros1 for storage in self._storages)
+        self.encoder = MessageEncoder(is_ros1=any(storage.is_ros1 for storage in self._storages))
         self.total_bytes = sum(storage.total_bytes for storage in self._storages)
         self.topics: Mapping[str, Topic] = count_topics(
             (name, topic.type, topic.messages) for storage in self._storages for name, topic in storage.topics.items()

@@ -15,18 +15,15 @@ from gridslam.errors import ArgumentError, InputError
 from gridslam.geometry import rigid
 from gridslam.geometry.angles import find_wrong_beam_angles
 from gridslam.geometry.rigid import Rigid
+from gridslam.io.bags.encoder import MessageEncoder, MessageError
 from gridslam.io.bags.ros_messages import (
-    MessageError,
     OdometryMessage,
     ScanMessage,
     StampedTransform,
-    Wire,
     decode_odometry,
     decode_scan,
     decode_transforms,
     kind_of,
-    wire_of_cdr,
-    wire_of_ros1,
 )
 from gridslam.io.bags.source import BagSource
 from gridslam.io.selection import LogOptions
@@ -43,7 +40,7 @@ _BASES = ("base_link", "base_footprint", "base", "base_frame", "base_stabilized"
 
 Decoded: TypeAlias = ScanMessage | OdometryMessage | list[StampedTransform]
 
-_DECODERS: Mapping[str, Callable[[bytes, Wire], Decoded]] = {
+_DECODERS: Mapping[str, Callable[[bytes, MessageEncoder], Decoded]] = {
     "scan": decode_scan,
     "odometry": decode_odometry,
     "transforms": decode_transforms,
@@ -168,10 +165,9 @@ def decoded_messages(source: BagSource, kinds: Mapping[str, str]) -> Iterator[tu
 
     Raises InputError, which names the message, where one does not match the type of its topic.
     """
-    wire_of = wire_of_ros1 if source.is_ros1 else wire_of_cdr
     for time_ns, name, data in source.messages(kinds):
         try:
-            message = _DECODERS[kinds[name]](data, wire_of(data))
+            message = _DECODERS[kinds[name]](data, source.encoder)
         except MessageError as error:
             problem = f"a message of {name} recorded at {time_ns / 1e9:.3f} s is no {source.topics[name].type}: {error}"
             raise InputError(source.path, problem) from None

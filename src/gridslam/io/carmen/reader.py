@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import defaultdict
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from operator import itemgetter
 from pathlib import Path
 from typing import NamedTuple, final
@@ -204,14 +204,10 @@ class _Parser:
             if array is not None:
                 array.flags.writeable = False
         frame = f"{sensor}_laser"
-        stamps_ns = [line.stamp_ns for line in lines]
-        scans = LaserScan.from_rows(stamps_ns, ranges, status, geometry, range_max_m=limit, sensor=sensor, frame=frame)
-        readings: Iterable[Odometry | None]
-        if poses is None:
-            readings = [self._odometry(line.odometry_line) for line in lines]
-        else:
-            readings = Odometry.from_rows(stamps_ns, poses)
-        return zip([line.number for line in lines], map(Measurement, readings, scans), strict=True)
+        for row, line in enumerate(lines):
+            scan = LaserScan(line.stamp_ns, ranges[row], status[row], geometry, 0.0, limit, sensor, frame)
+            odometry = self._odometry(line.odometry_line) if poses is None else Odometry(line.stamp_ns, poses[row])
+            yield line.number, Measurement(odometry, scan)
 
     def _odometry(self, source: tuple[str, int] | None) -> Odometry | None:
         """Return odometry of an ODOM line."""

@@ -1,14 +1,12 @@
-"""Files of plain arrays and texts without pickle: NumPy's .npz, sealed by the SHA-256 of all that they hold."""
+"""Files of plain arrays and texts without pickle: NumPy's .npz, checked by zip's checksums."""
 
 from __future__ import annotations
 
-import hashlib
-import os
 import zipfile
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
-from typing import IO, Any, TypeAlias
+from typing import Any, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,63 +18,22 @@ from gridslam.io.text import open_for_reading
 
 Arrays: TypeAlias = Mapping[str, NDArray[Any]]
 
-_SEAL = b"gridslam sha256 "
-_SEAL_BYTES = len(_SEAL) + 64
-_EARLY = (1980, 1, 1, 0, 0, 0)  # so that equal contents give equal files
 _GENERATORS = {"PCG64": np.random.PCG64, "PCG64DXSM": np.random.PCG64DXSM}
 """Bit generators whose state is plain integers; the first is that of `numpy.random.default_rng`."""
 
 
-def write_sealed_arrays(path: str | Path, arrays: Arrays) -> None:
+def write_arrays(path: str | Path, arrays: Arrays) -> None:
     """Write arrays to a file; it appears under its name once it is whole.
-
-    The comment at the end of the archive is the digest of all bytes before it.
 
     Raises
     ------
     OutputError
         The file cannot be written.
     """
-    with write_atomically(path) as aside:
-        with zipfile.ZipFile(aside, "w", zipfile.ZIP_DEFLATED, compresslevel=1) as archive:
-            for name, values in arrays.items():
-                info = zipfile.ZipInfo(f"{name}.npy", _EARLY)
-                info.compress_type = zipfile.ZIP_DEFLATED
-                with archive.open(info, "w", force_zip64=True) as member:
-                    np.lib.format.write_array(member, np.asarray(values), allow_pickle=False)
-            archive.comment = _SEAL + b"0" * 64
-        with aside.open("r+b") as file:
-            digest = _digest(file, aside.stat().st_size)
-            file.seek(-64, os.SEEK_END)
-            file.write(digest)
-
-
-def read_sealed_arrays(path: str | Path, schema: str, what: str) -> dict[str, NDArray[Any]]:
-    """Read arrays that `write_sealed_arrays` wrote, of this schema.
-
-    Raises
-    ------
-    InputError
-        The file cannot be read, is not `what`, is damaged, or has another schema.
-    """
-    with open_for_reading(path) as file:
-        size = os.fstat(file.fileno()).st_size
-        if size >= _SEAL_BYTES:
-            file.seek(size - _SEAL_BYTES)
-            seal = file.read(_SEAL_BYTES)
-            if seal.startswith(_SEAL) and seal[len(_SEAL) :] != _digest(file, size):
-                raise InputError(path, f"expected {what}, got one that is damaged: its content has another SHA-256")
-        file.seek(0)
-        is_archive = file.read(4) == b"PK\x03\x04"
-    try:
-        arrays = read_arrays(path, schema, what)
-    except InputError as error:
-        if not is_archive or "schema" in str(error):
-            raise
-        raise InputError(path, f"expected {what}, got one that is damaged: {error}") from None
-    if size < _SEAL_BYTES or not seal.startswith(_SEAL):
-        raise InputError(path, f"expected {what}, got one that is damaged: its end, with its SHA-256, is missing")
-    return arrays
+    with write_atomically(path) as aside, zipfile.ZipFile(aside, "w", zipfile.ZIP_DEFLATED, compresslevel=1) as archive:
+        for name, values in arrays.items():
+            with archive.open(f"{name}.npy", "w", force_zip64=True) as member:
+                np.lib.format.write_array(member, np.asarray(values), allow_pickle=False)
 
 
 def read_arrays(path: str | Path, schema: str, what: str) -> dict[str, NDArray[Any]]:
@@ -111,17 +68,6 @@ def _require_small(path: str | Path, archive: zipfile.ZipFile) -> None:
     require_memory(path, "its content", size)
     if not limit.take(size):
         raise InputError(path, limit.problem)
-
-
-def _digest(file: IO[bytes], size: int) -> bytes:
-    """SHA-256, as text, of a file of `size` bytes but the last 64."""
-    digest = hashlib.sha256()
-    file.seek(0)
-    left = size - 64
-    while left and (block := file.read(min(left, 1 << 20))):
-        digest.update(block)
-        left -= len(block)
-    return digest.hexdigest().encode()
 
 
 @contextmanager

@@ -2,17 +2,13 @@
 
 from __future__ import annotations
 
-import hashlib
-import re
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import final
 
 import numpy as np
 
-from gridslam import serialization
 from gridslam.arguments import require_instance
-from gridslam.errors import ArgumentError
 from gridslam.io.log_statistics import LogStatistics
 from gridslam.mapping.occupancy_grid_mapping import OccupancyGridMapping
 from gridslam.slam.full_slam.full_trajectory import TrackedScans, full_trajectories
@@ -77,15 +73,12 @@ class Drive:
         Of all scans.
     scans : TrackedScans
         The scans as they were tracked; key scans are counted over the piece.
-    floor : str
-        Name of the floor; empty where none was given.
     """
 
     name: str
     logs: tuple[DrivenLog, ...]
     stamps_ns: IntArray
     scans: TrackedScans
-    floor: str = ""
 
     def __repr__(self) -> str:
         """Return one line."""
@@ -98,18 +91,6 @@ class Drive:
         return stamps
 
 
-def require_floor(name: str) -> str:
-    """Return a valid name of a floor, or none; raises ArgumentError for a name that no file can have."""
-    if name and not re.fullmatch(r"\w[\w.-]{0,39}", name):
-        raise ArgumentError("floor", "1 to 40 letters, digits, '_', '.' and '-'", repr(name[:60]))
-    return name
-
-
-def find_floor(drives: Iterable[Drive]) -> str:
-    """Return the name of the floor of drives of one map; empty where none has one."""
-    return next((drive.floor for drive in drives if drive.floor), "")
-
-
 @final
 @dataclass(frozen=True, slots=True, eq=False)
 class SavedPiece:
@@ -120,7 +101,7 @@ class SavedPiece:
     piece : MapPiece
         Key scans and graph.
     drives : tuple of Drive
-        None of a map that was given.
+        At least one.
     """
 
     piece: MapPiece
@@ -128,17 +109,12 @@ class SavedPiece:
 
     def __repr__(self) -> str:
         """Return one line."""
-        return f"SavedPiece({', '.join(drive.name for drive in self.drives) or 'a given map'}: {self.piece})"
-
-    @property
-    def floor(self) -> str:
-        """Name of the floor that it is the map of; empty where no drive has one."""
-        return find_floor(self.drives)
+        return f"SavedPiece({', '.join(drive.name for drive in self.drives)}: {self.piece})"
 
     @property
     def name(self) -> str:
-        """Name of its map: that of the floor, else of its first drive."""
-        return self.floor or next((drive.name for drive in self.drives), "given")
+        """Name of its map: that of its first drive."""
+        return self.drives[0].name
 
     @property
     def tracked_scans(self) -> list[TrackedScans]:
@@ -148,32 +124,18 @@ class SavedPiece:
     @property
     def trajectories(self) -> dict[str, Trajectory]:
         """The trajectory of each drive by its name, in the frame of the piece's map."""
-        if not self.drives:
-            return {}
         own = self.split(full_trajectories(self.piece.poses, self.tracked_scans))
         return {drive.name: Trajectory(drive.stamps_ns, own[drive.name]) for drive in self.drives}
 
     @property
     def stamps_ns(self) -> IntArray:
         """Stamps of the scans of all drives, one drive after the other."""
-        return np.concatenate([np.zeros(0, np.int64), *(drive.stamps_ns for drive in self.drives)])
-
-    def compute_digest(self) -> str:
-        """SHA-256 of its key scans and its graph, in hexadecimal."""
-        digest = hashlib.sha256()
-        for name, values in sorted(serialization.to_arrays(self.piece).items()):
-            digest.update(f"{name} {values.shape} ".encode() + np.ascontiguousarray(values).data)
-        return digest.hexdigest()
+        return np.concatenate([drive.stamps_ns for drive in self.drives])
 
     def thin(self, mapper: OccupancyGridMapping) -> SavedPiece:
-        """Remove the parts that newer drives have seen (see `thin_piece`), and drives of which nothing remains.
-
-        A piece that began with a given map stays as it is.
-        """
-        if len(self.piece.scans) > len(self.stamps_ns):
-            return self
+        """Remove the parts that newer drives have seen (see `thin_piece`), and drives of which nothing remains."""
         thinned = thin_piece(self.piece, self.tracked_scans, mapper)
-        stamps = self.stamps_ns[thinned.scans] if self.drives else self.stamps_ns
+        stamps = self.stamps_ns[thinned.scans]
         own = np.split(stamps, np.cumsum([len(scans.keys) for scans in thinned.drives])[:-1])
         drives = (
             replace(drive, stamps_ns=stamps_ns, scans=scans)

@@ -16,14 +16,15 @@ from gridslam import __version__, serialization
 from gridslam.arguments import require_instance, require_seed
 from gridslam.config import Configuration, dumps
 from gridslam.config.configuration import loads
+from gridslam.errors import ArgumentError
 from gridslam.io.sessions.archive_file import (
     Arrays,
     dump_generator,
     load_generator,
     name_file,
-    read_sealed_arrays,
+    read_arrays,
     read_text_array,
-    write_sealed_arrays,
+    write_arrays,
 )
 from gridslam.io.sessions.drives import Drive, DrivenLog, SavedPiece
 from gridslam.io.text import parse_json
@@ -58,8 +59,6 @@ class SavedRun:
         The logs so far.
     earlier : tuple of Drive
         The drives of the piece in which the robot was found, whose key scans come first.
-    floor : str
-        Name of the floor; empty where none was given.
     """
 
     rng: np.random.Generator
@@ -69,7 +68,6 @@ class SavedRun:
     name: str = ""
     logs: tuple[DrivenLog, ...] = ()
     earlier: tuple[Drive, ...] = ()
-    floor: str = ""
 
     def snapshot(self) -> SavedRun:
         """Keep a copy for later."""
@@ -88,7 +86,7 @@ class SavedRun:
         keys = len(self.trajectory.key_scans)
         first = 0 if self.state is None else self.state.ancestry.steps - keys
         stamps_ns = self.trajectory.online_trajectory().stamps_ns
-        own = Drive(self.name, self.logs, stamps_ns, self.trajectory.tracked_scans(first), self.floor)
+        own = Drive(self.name, self.logs, stamps_ns, self.trajectory.tracked_scans(first))
         return (*self.earlier, own)
 
 
@@ -200,7 +198,7 @@ def write_session(path: str | Path, session: SavedSession) -> None:
     OutputError
         The file cannot be written.
     """
-    write_sealed_arrays(path, session.dump())
+    write_arrays(path, session.dump())
 
 
 def read_session(path: str | Path, threads: int = 1) -> SavedSession:
@@ -218,7 +216,7 @@ def read_session(path: str | Path, threads: int = 1) -> SavedSession:
     InputError
         The file cannot be read, is damaged, has another schema, or its arrays do not belong together.
     """
-    arrays = read_sealed_arrays(path, SESSION_SCHEMA, _WHAT)
+    arrays = read_arrays(path, SESSION_SCHEMA, _WHAT)
     with name_file(path, _WHAT):
         head = _parse_head(arrays)
         configuration = loads(head["configuration"], ignore_unknown=True)
@@ -240,7 +238,7 @@ def read_session(path: str | Path, threads: int = 1) -> SavedSession:
 
 def read_head(path: str | Path) -> SessionHead:
     """Read the head of a session file, without restoring it; raises InputError as `read_session`."""
-    arrays = read_sealed_arrays(path, SESSION_SCHEMA, _WHAT)
+    arrays = read_arrays(path, SESSION_SCHEMA, _WHAT)
     with name_file(path, _WHAT):
         head = _parse_head(arrays)
         ends = "graph.poses", "run.state.ancestry.trunk", "run.state.ancestry.counts"
@@ -257,11 +255,12 @@ def _parse_head(arrays: Arrays) -> dict[str, Any]:
         require_instance(name, head[name], str)
     require_seed(head["seed"])
     run = head["run"]
+    if not all(head["pieces"]):
+        raise ArgumentError("pieces", "a drive in each", "none")
     groups = head["pieces"] if run is None else [*head["pieces"], run["earlier"], [run]]
     for drive in chain.from_iterable(groups):
         require_instance("drives", drive, dict)
         require_instance("name", drive["name"], str)
-        require_instance("floor", drive.get("floor", ""), str)
         _load_logs(drive["logs"])
     return dict(head)
 
@@ -271,8 +270,7 @@ def _prefix(part: str, arrays: Arrays) -> dict[str, Any]:
 
 
 def _describe(drive: Drive | SavedRun) -> dict[str, Any]:
-    described = {"name": drive.name, "logs": [asdict(log) for log in drive.logs]}
-    return described | ({"floor": drive.floor} if drive.floor else {})
+    return {"name": drive.name, "logs": [asdict(log) for log in drive.logs]}
 
 
 def _dump_drives(part: str, drives: tuple[Drive, ...]) -> dict[str, Any]:
@@ -288,7 +286,7 @@ def _dump_drives(part: str, drives: tuple[Drive, ...]) -> dict[str, Any]:
 
 
 def _load_drives(arrays: Arrays, heads: list[dict[str, Any]]) -> tuple[Drive, ...]:
-    """Restore drives; no drive has the key scans of a given map, which come first."""
+    """Restore drives."""
     drives = []
     for number, head in enumerate(heads):
         own = select_part(arrays, f"drives.{number}")
@@ -298,7 +296,7 @@ def _load_drives(arrays: Arrays, heads: list[dict[str, Any]]) -> tuple[Drive, ..
         key_from_base = read_array(own, "key_from_base", np.float64, ("scans", 3), sizes)
         poses = read_array(own, "poses", np.float64, ("scans", 3), sizes) if "poses" in own else None
         scans = TrackedScans(keys, key_from_base, poses)
-        drives.append(Drive(str(head["name"]), _load_logs(head["logs"]), stamps_ns, scans, head.get("floor", "")))
+        drives.append(Drive(str(head["name"]), _load_logs(head["logs"]), stamps_ns, scans))
     return tuple(drives)
 
 
@@ -317,7 +315,6 @@ def _load_run(arrays: Arrays, head: dict[str, Any], configuration: Configuration
         statistics=StatisticsRecorder.from_arrays(select_part(arrays, "statistics")),
         name=str(head["name"]),
         logs=_load_logs(head["logs"]),
-        floor=head.get("floor", ""),
     )
     if "state.schema" not in arrays:
         return run

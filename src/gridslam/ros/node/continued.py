@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import threading
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from datetime import datetime, timezone
 from pathlib import Path
@@ -135,8 +135,3 @@ def begin(
     log(Level.OK, f"session {continued.path}: goes on elsewhere, the robot is looked for in its map: {reason}")
     run = SavedRun(np.random.default_rng(saved.seed + len(drives)), name=choose_name(name, drives))
     return Beginning(run), True
-
-
-def describe_drives(names: Sequence[str]) -> str:
-    """What a piece is the map of: the drives of these names, or none."""
-    return f"the map of {', '.join(names)}" if names else "the given map"

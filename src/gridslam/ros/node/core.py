@@ -15,7 +15,7 @@ from typing import Any, TypeAlias, final
 import numpy as np
 
 from gridslam.config import Configuration
-from gridslam.doctor import BreakCheck, EarlyCheck, Finding
+from gridslam.doctor import EarlyCheck, Finding
 from gridslam.doctor.view_breaks import DriveNumbering
 from gridslam.errors import ArgumentError, ConfigurationError, GridslamError, OutputError
 from gridslam.io.measurement import Measurement
@@ -381,12 +381,9 @@ class NodeCore:
 
     def _number(self, accepted: AcceptedScan) -> list[tuple[int, AcceptedScan]]:
         """Return the scans whose drive is certain from this one on; without loop closure no robot is relocalized."""
-        measurement = accepted.measurement
         with self._reporting("checks failed"):
             if isinstance(self.configuration, Configuration) and self.configuration.loop_closure is not None:
-                return self._numbering.take(accepted, measurement)
-            for finding in self._breaks.take(measurement):
-                self._warn_of(finding)
+                return self._numbering.take(accepted, accepted.measurement)
         return [*self._numbering.end(), (self._drive, accepted)]
 
     def _begin_step(self, accepted: AcceptedScan) -> Measurement:
@@ -447,7 +444,6 @@ class NodeCore:
         self._publisher.start_session()
         self._check = EarlyCheck()
         if self._session_end is not SessionEnd.CARRIED:
-            self._breaks = BreakCheck()
             self._numbering = DriveNumbering[AcceptedScan](self._warn_of)
             self._drive = 0
         self._session: Session | LocalizationSession

@@ -27,7 +27,7 @@ from gridslam.io.sessions.session_file import SavedRun, SavedSession, write_sess
 from gridslam.io.text import compute_digest
 from gridslam.pipeline import FailedStep, FailureRecorder, Observer, Stopwatch, run
 from gridslam.ros.node.accepted_scan import AcceptedScan
-from gridslam.ros.node.continued import Continued, EarlierDrives, begin, describe_drives
+from gridslam.ros.node.continued import Continued, EarlierDrives, begin
 from gridslam.ros.node.messages import Level
 from gridslam.ros.node.session import FailureCallback
 from gridslam.slam.grid_fastslam.grid_fastslam import GridFastSlam
@@ -252,7 +252,7 @@ class Session:
         joined = self._begun.find_joined(state) if self.found_after_m is None else None
         if joined is not None and state.closure_state is not None:
             self.found_after_m = state.closure_state.driven_before_found_m(len(joined.piece))
-            found_in = describe_drives([drive.name for drive in joined.drives])
+            found_in = f"the map of {', '.join(drive.name for drive in joined.drives)}"
             x, y, theta = state.best_pose.tolist()
             place = f"x {x:.2f} m, y {y:.2f} m, heading {math.degrees(theta):.0f} degrees"
             self._report(Level.OK, f"found again in {found_in} after {self.found_after_m:.1f} m, at {place}")

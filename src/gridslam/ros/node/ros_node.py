@@ -12,7 +12,8 @@ import numpy as np
 
 from gridslam.api.mapping import MapResult
 from gridslam.errors import ArgumentError, GridslamError, OutputError
-from gridslam.io.bags.ros_messages import MessageError, Wire, decode_scan, decode_transforms, wire_of_cdr, wire_of_ros1
+from gridslam.io.bags.encoder import MessageError
+from gridslam.io.bags.ros_messages import decode_scan, decode_transforms
 from gridslam.io.output import OutputFolder
 from gridslam.pipeline import describe_error
 from gridslam.ros.node.core import NodeCore
@@ -72,16 +73,16 @@ class RosNode:
         core.start()
         self._advertise_services()
         settings = core.settings
-        scans, decode = self._transport.resolve(settings.scan_topic), self._transport.encoder.decode
+        scans, encoder = self._transport.resolve(settings.scan_topic), self._transport.encoder
 
-        def on_transforms(data: bytes, wire: Wire, static: bool = False) -> None:
-            core.on_transforms(decode_transforms(data, wire), static=static)
+        def on_transforms(data: bytes, static: bool = False) -> None:
+            core.on_transforms(decode_transforms(data, encoder), static=static)
 
-        def on_scan(data: bytes, wire: Wire) -> None:
-            core.on_scan(decode_scan(data, wire), scans)
+        def on_scan(data: bytes) -> None:
+            core.on_scan(decode_scan(data, encoder), scans)
 
-        def on_pose(data: bytes, wire: Wire) -> None:
-            set_pose_from_message(core, decode(_POSE, data))
+        def on_pose(data: bytes) -> None:
+            set_pose_from_message(core, encoder.decode(_POSE, data))
 
         if core.localizes:
             self._subscribe("initialpose", _POSE, on_pose, depth=1)
@@ -176,14 +177,13 @@ class RosNode:
         encoder = self._transport.encoder
         return encoder.encode(TOPICS["map"], *grid_values(encoder, "dynamic_map", latest))
 
-    def _subscribe(self, topic: str, kind: str, handle: Callable[[bytes, Wire], None], **qos: Any) -> None:  # noqa: ANN401
+    def _subscribe(self, topic: str, kind: str, handle: Callable[[bytes], None], **qos: Any) -> None:  # noqa: ANN401
         """Subscribe, and warn of bytes that are not a valid message."""
         name = self._transport.resolve(topic)
-        wire_of = wire_of_ros1 if self._transport.encoder.is_ros1 else wire_of_cdr
 
         def on_message(data: bytes) -> None:
             try:
-                handle(data, wire_of(data))
+                handle(data)
             except Exception as error:  # the transport's thread goes on, whatever the bytes were
                 problem = str(error) if isinstance(error, MessageError) else describe_error(error)
                 self.core.refuse_message("message", f"{name}: {problem}")

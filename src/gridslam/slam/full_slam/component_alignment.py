@@ -25,23 +25,12 @@ from gridslam.slam.loop_closure.submap_matching import MAX_POINTS, Submap
 from gridslam.slam.loop_closure.submap_pairs import SubmapPairs
 from gridslam.slam.loop_closure.submaps import DIRECTIONS, ROW, build_map, match_points
 from gridslam.slam.loop_closure.walls import MOST_BESIDE_M, leave_open
-from gridslam.types import BeamEnds, FloatArray, IntArray, Match, StoredScan
+from gridslam.types import FloatArray, IntArray, Match, StoredScan
 
 _CONSISTENT_M = 0.3
 _CONSISTENT_M_PER_KEY_SCAN = 0.01
 _CONSISTENT_RAD = 0.06
 """Hits are consistent if the tracked motion leads from one to the other this closely."""
-
-_LOOSE = np.full((1, 3, 3), 1e-6) * np.eye(3)
-
-_MATCH_VARIANCES = np.square([0.02, 0.01])
-"""Of a match, m^2 and rad^2, beside those of the motion."""
-
-_MIN_OVERLAP = 0.4
-"""Ratio of beams that must end in cells known from the same side for a key scan to be matched."""
-
-_MIN_AGREEMENT = 0.7
-"""And how well these must agree: from the next room walls are seen from behind, and pull where nothing is."""
 
 _REACH_M = 30.0
 """A key scan farther away sees nothing of the same."""
@@ -68,12 +57,8 @@ _MOST_HITS = 4
 """Places of a submap, best first."""
 _GATE_SIGMAS = 2.0
 """Standard deviations of the drift that an alignment may need."""
-_MAX_GROUPS = 100
 _MAX_HYPOTHESES = 12
-"""Maximum number of places for two components, those with most matches first, and of these of hypotheses that are
-tracked, those where the component's scans fit best."""
-_TRACKING_GATE_SIGMAS = 2.5
-"""A match of a key scan farther than this many standard deviations from the tracked motion is not used."""
+"""Maximum number of places of a component that are compared, those with most matches first."""
 _MIN_LOG_LIKELIHOOD = 10.0
 """Least log likelihood (nats) of the best hypothesis, in either direction."""
 _AMBIGUITY_RATIO = 0.6
@@ -95,8 +80,8 @@ _CONSTRAINT_INTERVAL = 3
 """Key scans from one constraint to the next."""
 MIN_CONSTRAINTS = 3
 """Minimum number of constraints of an alignment; across a gap determined ones."""
-_MATCHER = GaussNewton()
-"""How a component is tracked through the map."""
+_MIN_BEAMS = GaussNewton().min_beams
+"""Least number of beams of a key scan that gives a constraint."""
 
 
 def align_components(
@@ -111,7 +96,7 @@ def align_components(
 
     Within a component the robot was tracked, so that one pose aligns all of it. Short submaps of it are searched for in
     the map of the other one, as far as the drift allows. Places that are consistent with the tracked motion form one
-    hypothesis, which is tracked through all key scans of the component. It is judged by the score by which trajectories
+    hypothesis, in which the component lies as it was tracked. It is judged by the score by which trajectories
     are compared (see `score_trajectory`), in both directions: the component's scans given the map of the other one, and
     the scans of that one given the component's map; the lesser counts. A submap is often ambiguous, a whole component
     rarely.
@@ -258,7 +243,7 @@ class SearchHit(NamedTuple):
 
 @final
 class Hypothesis(NamedTuple):
-    """A component tracked through the map of another one from the best of the hits that agree.
+    """A component laid on the map of another one from the best of the hits that agree.
 
     `poses` (K, 3) are those of all its key scans; `log_likelihood` (nats) is that of either direction, the lesser;
     `overlap` the ratio of the component's beams that end in what the map knows, `agreement` how well these agree; it
@@ -301,24 +286,14 @@ class Alignment:
 
     def select_hypothesis(self, hits: list[SearchHit]) -> Hypothesis | None:
         """Return the best hypothesis that the hits lead to, if it is accepted."""
-        groups = group_hits(self.closure_state.graph, hits)[:_MAX_GROUPS]
-        if len(groups) > _MAX_HYPOTHESES:
-            groups = sorted(groups, key=self._estimate_evidence, reverse=True)[:_MAX_HYPOTHESES]
-        return self.decide([self.track_component(group) for group in groups])
+        groups = group_hits(self.closure_state.graph, hits)[:_MAX_HYPOTHESES]
+        return self.decide([self.lay_component(group) for group in groups])
 
     def is_left_open(self, best: Hypothesis) -> bool:
         """Whether walls fit beside a hypothesis as well: furniture alone decides, see `leave_open`."""
         middle = len(self.keys) // 2
         component = self._as_submap(int(self.keys[middle]), between(best.poses[middle], best.poses))
         return leave_open(self.known.maps, component.walls, best.poses[middle])
-
-    def _estimate_evidence(self, group: list[SearchHit]) -> float:
-        """Log likelihood (nats) of the scans in the shape that was tracked, laid on the map by the best hit."""
-        begin = max(group, key=lambda hit: hit.score)
-        shape = np.array(self.closure_state.graph.poses)
-        poses = compose(begin.pose, between(shape[begin.key], shape[self.keys]))
-        likelihood, _, _ = self._score(self.known.maps, poses, self.closure_state.scans, self.keys)
-        return likelihood - begin.squared_sigmas
 
     def decide(self, hypotheses: list[Hypothesis]) -> Hypothesis | None:
         """Return the best hypothesis if there is enough evidence for it and none farther off is comparable.
@@ -332,7 +307,7 @@ class Alignment:
             return None
         limit = self.ambiguity_ratio * best.evidence
         rivals_m = [best.distance_m(other) for other in hypotheses if other.evidence > limit]
-        own = self._draw(best.poses)
+        own = build_map(self.mapper, self.closure_state.scans, self.keys, best.poses)
         limit += best.squared_sigmas
         for shift_m in _SHIFTS_M:
             shifts = shift_m * DIRECTIONS
@@ -342,26 +317,17 @@ class Alignment:
             return None
         return best._replace(is_open=max(rivals_m, default=0.0) >= _MERGE_M)
 
-    def track_component(self, group: list[SearchHit]) -> Hypothesis:
-        """Lay a component on the map from the best hit: as one, or tracked to both of its ends, whichever fits better.
-
-        A short one is rigid, and few of its key scans see enough of the map; a long one has drifted.
-        """
+    def lay_component(self, group: list[SearchHit]) -> Hypothesis:
+        """Lay a component on the map from the best hit, as one: it keeps the shape in which it was tracked."""
         begin = max(group, key=lambda hit: hit.score)
-        squared_sigmas = min(hit.squared_sigmas for hit in group)
-        start, as_one = self._match_as_one(begin)
-        found = []
-        for poses in (as_one, self._track(begin.key, start)):
-            likelihood, overlap, agreement = self._score_both(poses, self._draw(poses))
-            found.append(Hypothesis(poses, likelihood, squared_sigmas, overlap, agreement))
-        return max(found, key=lambda hypothesis: hypothesis.log_likelihood)
-
-    def _match_as_one(self, begin: SearchHit) -> tuple[FloatArray, FloatArray]:
-        """Poses (3,) of a hit's key scan and (K, 3) of the component, which keeps its shape, matched from there."""
         shape = np.array(self.closure_state.graph.poses)
         own = between(shape[begin.key], shape[self.keys])
         (pose,) = self._match_points(self._as_submap(begin.key, own), begin.pose).poses
-        return pose, compose(pose, own)
+        poses = compose(pose, own)
+        drawn = build_map(self.mapper, self.closure_state.scans, self.keys, poses)
+        likelihood, overlap, agreement = self._score_both(poses, drawn)
+        squared_sigmas = min(hit.squared_sigmas for hit in group)
+        return Hypothesis(poses, likelihood, squared_sigmas, overlap, agreement)
 
     def _as_submap(self, key: int, own: FloatArray) -> Submap:
         """Return all key scans, at `own` (K, 3) seen from one of them."""
@@ -370,44 +336,6 @@ class Alignment:
     def _match_points(self, component: Submap, pose: FloatArray) -> Match:
         """Match the points of a component from a pose (3,) of its frame on."""
         return match_points(self.known.maps, pose[None], thin_points(component.collect_points(), MAX_POINTS))
-
-    def _track(self, begin: int, pose: FloatArray) -> FloatArray:
-        """Poses (K, 3) of the component from that (3,) of key scan `begin` on, corrected where a scan matches."""
-        graph = self.closure_state.graph
-        poses = np.empty((len(self.keys), 3))
-        at = int(np.searchsorted(self.keys, begin))
-        start = pose
-        for way in (range(at, len(self.keys)), range(at - 1, -1, -1)):
-            pose = start
-            last = begin
-            for index in way:
-                key = int(self.keys[index])
-                guess = compose(pose, between(graph.poses[last], graph.poses[key]))
-                steps = np.array(graph.variances[min(key, last) + 1 : max(key, last) + 1]).reshape(-1, 2)
-                variances = steps.sum(axis=0) + _MATCH_VARIANCES
-                pose = self._match_key_scan(self.closure_state.scans.key(key), guess, variances)
-                poses[index] = pose
-                last = key
-        return poses
-
-    def _match_key_scan(self, beams: BeamEnds, guess: FloatArray, variances: FloatArray) -> FloatArray:
-        """Pose (3,) of a key scan matched near a guess; the guess if it sees little of the map or moves too far."""
-        if len(beams) < _MATCHER.min_beams:
-            return guess
-        if np.mean(self.known.maps.is_known(0, beams.ends, guess)) < _MIN_OVERLAP:
-            return guess
-        match = _MATCHER(self.known.maps, ROW, guess[None], _LOOSE, beams)
-        x, y, turn = between(guess, match.poses[0]).tolist()
-        squared = (x * x + y * y) / variances[0] + turn * turn / variances[1]
-        if squared >= _TRACKING_GATE_SIGMAS**2:
-            return guess
-        weights = weigh_same_side(self.known.maps, match.poses[0], beams)
-        is_match = len(weights) >= _MIN_OVERLAP * len(beams) and weights.mean() >= _MIN_AGREEMENT
-        return match.poses[0] if is_match else guess
-
-    def _draw(self, poses: FloatArray) -> TileMaps:
-        """Build the map of the component's key scans at poses (K, 3)."""
-        return build_map(self.mapper, self.closure_state.scans, self.keys, poses)
 
     def _score_both(
         self, poses: FloatArray, own: TileMaps, shift: FloatArray | float = 0.0, least: float = -math.inf
@@ -465,7 +393,7 @@ class Alignment:
         for index in range(0, len(self.keys), _CONSTRAINT_INTERVAL):
             key = int(self.keys[index])
             pose = best.poses[index]
-            if len(closure_state.scans.key(key)) < _MATCHER.min_beams:
+            if len(closure_state.scans.key(key)) < _MIN_BEAMS:
                 continue
             nearest = int(np.argmin(np.hypot(*(anchors[:, :2] - pose[:2]).T)))
             anchor = anchors[nearest]
@@ -479,7 +407,7 @@ class Alignment:
                 ConstraintSource.RECOGNIZED,
                 anchor,
             )
-            if isinstance(constraint, Constraint):
+            if constraint is not None:
                 found.append(constraint)
         return found
 

@@ -39,10 +39,10 @@ _FIRST_KEY_SCANS = 12
 _LAST_KEY_SCANS = 90
 """Key scans, about 40 m, by which a drive is located: its way before may lie beyond the map."""
 
-_TRACKED = 4
-_TRACKED_AT_A_TIME = 2
-_SHARES = 2 + _TRACKED // _TRACKED_AT_A_TIME
-"""Hypotheses that are tracked, and key scans over which the work is spread: one searches, in 20 ms, some track two
+_COMPARED = 4
+_COMPARED_AT_A_TIME = 2
+_SHARES = 2 + _COMPARED // _COMPARED_AT_A_TIME
+"""Hypotheses that are compared, and key scans over which the work is spread: one searches, in 20 ms, some compare two
 hypotheses each, in 15 ms each, and the last one decides, in 40 ms."""
 
 _EAGER_KEY_SCANS = 51
@@ -51,7 +51,7 @@ _INTERVAL = 4 * _SHARES
 rooms that are all alike, searching then costs little more than mapping."""
 
 _ALIGNED = 45
-"""Key scans of a drive, spread evenly, that are tracked through a piece."""
+"""Key scans of a drive, spread evenly, that are laid on a piece."""
 
 _MIN_LOG_LIKELIHOOD = 20.0
 """Nats. A whole floor has some ten million places to be, 16 nats, where a drift allows for few; in other buildings the
@@ -74,7 +74,7 @@ class EarlierPieces:
     """Locates a drive in earlier pieces: submaps of its way are searched in their maps (see `MapSearch`).
 
     What is found is judged as with a component behind a gap in the laser data (see `align_components`), but nothing
-    is known of the drift: the drive is tracked through the piece's map from each place where submaps of it fit, and if
+    is known of the drift: the drive is laid on the piece's map at each place where submaps of it fit, and if
     only one of them explains it, it is found. While the robot drives, the work is spread over key scans by counts
     alone, and pieces take turns.
 
@@ -173,8 +173,8 @@ class EarlierPieces:
         if self._begin is None:
             alignment = replace(alignment, min_log_likelihood=_MIN_LOG_LIKELIHOOD, ambiguity_ratio=_AMBIGUITY_RATIO)
         hypotheses: list[Hypothesis] = []
-        for first in range(0, min(len(groups), _TRACKED), _TRACKED_AT_A_TIME):
-            hypotheses += [alignment.track_component(group) for group in groups[first : first + _TRACKED_AT_A_TIME]]
+        for first in range(0, min(len(groups), _COMPARED), _COMPARED_AT_A_TIME):
+            hypotheses += [alignment.lay_component(group) for group in groups[first : first + _COMPARED_AT_A_TIME]]
             yield None
         best = alignment.decide([each for each in hypotheses if _is_plausible(each)])
         if best is not None:
@@ -192,14 +192,10 @@ class EarlierPieces:
         known = (number, key, _tracked_at(graph, keys))
         if known not in self._hits:
             submap = Submap.of(graph, int(keys[len(keys) // 2]), keys, closure_state.scans, self._mapper)
-            self._hits[known] = self._match(graph, number, submap)
+            moved = between(graph.tracked[0], graph.tracked[submap.anchor])
+            near = None if self._begin is None else compose(self._begin, moved)
+            self._hits[known] = match_submap(self._searches[number], submap, near, _NEAR_M, _NEAR_RAD)
         return self._hits[known]
-
-    def _match(self, graph: KeyGraph, number: int, submap: Submap) -> list[SearchHit]:
-        near = None
-        if self._begin is not None:
-            near = compose(self._begin, between(graph.tracked[0], graph.tracked[submap.anchor]))
-        return match_submap(self._searches[number], submap, near, _NEAR_M, _NEAR_RAD)
 
 
 @final

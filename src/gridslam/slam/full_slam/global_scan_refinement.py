@@ -369,7 +369,7 @@ class _Refinement:
         closure_state = self.closure_state
         known = begin.constraints
         self.graph.constraints = known
-        closure_state.correct(begin.graph.poses)
+        self.graph.correct(begin.graph.poses)
         found, rejected = self.closure.recognition.search_all(
             closure_state, self.mapper, self.pairs, self.on_progress, self.searched
         )
@@ -377,7 +377,7 @@ class _Refinement:
         pairs = {constraint.pair for constraint in known}
         new = [constraint for constraint in found if constraint.pair not in pairs]
         # the filter's poses are drawn at random, and off for some key scans after a gap: components have tracked shapes
-        closure_state.correct(SOLVER.solve(self._graph(begin.graph.poses, known)).poses)
+        self.graph.correct(SOLVER.solve(self._graph(begin.graph.poses, known)).poses)
         new += align_components(
             closure_state,
             self.mapper,
@@ -405,7 +405,7 @@ class _Refinement:
         """
         known = best.constraints
         self.graph.constraints = known
-        self.closure_state.correct(SOLVER.solve(self._graph(best.graph.poses, known)).poses)
+        self.graph.correct(SOLVER.solve(self._graph(best.graph.poses, known)).poses)
         found = propose_revisits(
             self.closure_state, self.stretches, self.mapper, self.closure, self.on_progress, self.searched
         )

@@ -55,10 +55,6 @@ def _nearest_held(graph: PoseGraph) -> IntArray:
     by_constraint = is_crossing & (high - low > 1)  # and not by the increment from one drive to the next
     is_crossing = by_constraint if by_constraint.any() else is_crossing
     order = np.flatnonzero(is_crossing)[np.argsort(high[is_crossing], kind="stable")]
-    times = high[order]
     free = np.arange(graph.held, len(graph.poses))
-    later = np.minimum(np.searchsorted(times, free), len(times) - 1)
-    earlier = np.maximum(later - 1, 0)
-    is_earlier = np.abs(free - times[earlier]) <= np.abs(times[later] - free)
-    nearest: IntArray = low[order[np.where(is_earlier, earlier, later)]]
+    nearest: IntArray = low[order[np.abs(free[:, None] - high[order]).argmin(axis=1)]]
     return nearest

@@ -20,6 +20,8 @@ from gridslam.types import FloatArray, IntArray
 _WINDOW = 90
 """Key scans that are aligned together, about 40 m: as many as locate a drive while it is driven."""
 _STRIDE = 45
+_GOLDEN_RATIO = 0.618
+"""Windows are aligned in an order by it, so that the first few are spread over the piece."""
 _ENOUGH = 3
 """Number of agreeing windows that join two pieces; the final refinement finds further overlaps."""
 _AGREE_M = 1.0
@@ -130,21 +132,15 @@ def _link(
 
 
 def _windows(piece: MapPiece) -> Iterator[IntArray]:
-    """Consecutive key scans without a gap: first from all over the piece, then those between."""
+    """Consecutive key scans without a gap, from all over the piece in turn."""
     labels = piece.graph.label_gaps()
     windows = []
     for label in np.unique(labels):
         keys = np.flatnonzero(labels == label)
         starts = range(0, max(len(keys) - _WINDOW, 0) + _STRIDE, _STRIDE)
         windows += [keys[max(0, min(start, len(keys) - _WINDOW)) :][:_WINDOW] for start in starts]
-    stride = 1 << max(len(windows) - 1, 0).bit_length()
-    seen = set[int]()
-    while stride:
-        for number in range(0, len(windows), stride):
-            if number not in seen:
-                seen.add(number)
-                yield windows[number]
-        stride //= 2
+    for number in sorted(range(len(windows)), key=lambda number: number * _GOLDEN_RATIO % 1):
+        yield windows[number]
 
 
 def _agree(frame: FloatArray, other: FloatArray, pose: FloatArray) -> bool:

@@ -75,7 +75,7 @@ def propose_revisits(
         known = KnownMap(scans, poses, keys, build_map(mapper, scans, keys, poses[keys]))
         hits = search.run(graph, MapSearch(known.maps))
         alignment = Alignment(closure_state, mapper, closure.places, search.submap.keys, known)
-        hypotheses = [alignment.track_component(group) for group in group_hits(graph, hits)[:_MAX_HYPOTHESES]]
+        hypotheses = [alignment.lay_component(group) for group in group_hits(graph, hits)[:_MAX_HYPOTHESES]]
         best = max(hypotheses, key=lambda it: it.evidence, default=None)
         if best is not None and not alignment.is_left_open(best):
             found += alignment.constrain_as_one(best)

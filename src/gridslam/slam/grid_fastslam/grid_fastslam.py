@@ -17,7 +17,7 @@ from gridslam.arguments import describe
 from gridslam.checked import checked
 from gridslam.errors import ArgumentError
 from gridslam.geometry.angles import wrap
-from gridslam.geometry.single_pose import Pose, between, motion_of
+from gridslam.geometry.single_pose import Pose, between
 from gridslam.mapping.occupancy_grid_mapping import OccupancyGridMapping
 from gridslam.models.endpoint import CauchyEndPoint
 from gridslam.models.motion import DiffusionMotion, add_noise
@@ -177,6 +177,7 @@ class GridFastSlam:
         require_step(GridFastSlamState, state, odometry, scan, rng)
         state = state.take()
         tracked = self.tracker.step(state.tracker, odometry, scan.stamp_ns, self._select(scan))
+        state.tracked_scans += 1
         beams = tracked.beams
         moved = between(state.key_pose, tracked.pose)
         if reason := self._skip(state, tracked.pose, beams):
@@ -218,11 +219,10 @@ class GridFastSlam:
         what the tracker errs by.
         """
         control = tracked.control
-        increment = between(state.key_pose, control.pose)
-        motion = self.motion(np.array(increment))
-        scans = sum(motion_of(increment)) / state.tracker.mean_step if state.tracker.mean_step else 1.0
+        motion = self.motion(np.array(between(state.key_pose, control.pose)))
+        scans = state.tracked_scans
         if control.variances is not None:
-            scans = 1.0
+            scans = 1
             wide = add_noise(motion, np.diag(np.take(control.variances, [0, 0, 1])))
             motion = SearchingMotion(wide, state.maps, self.sensor(tracked.beams), tracked.beams.ends)
         return MotionOfAll(motion, state.best, scans, control.common_variances)

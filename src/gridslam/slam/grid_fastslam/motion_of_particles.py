@@ -20,7 +20,7 @@ _WIDER = 2.0
 _LEAST_KNOWN = 0.75
 """Ratio of beams that end in known cells from which on a map decides; else new walls would be laid on old ones."""
 
-_MOST_SCANS = 4.0
+_MOST_SCANS = 4
 """More scans do not hold the best particle more firmly: errors of matches to the same surfaces are alike."""
 
 _FREEDOM = 4e5
@@ -75,7 +75,7 @@ class MotionOfAll:
 
     motion: MotionSampler
     best: int
-    scans: float
+    scans: int
     common_variances: tuple[float, float] | None
 
     def __call__(self, poses: FloatArray, rng: np.random.Generator) -> FloatArray:
@@ -92,5 +92,5 @@ class MotionOfAll:
         if len(poses) == 1:
             return means, covariances
         freedom = np.full((len(poses), 1, 1), _FREEDOM)
-        freedom[self.best] = 1.0 / min(max(self.scans, 1.0), _MOST_SCANS)
+        freedom[self.best] = 1.0 / min(self.scans, _MOST_SCANS)
         return means, covariances * freedom

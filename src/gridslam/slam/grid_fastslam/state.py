@@ -11,24 +11,24 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gridslam import serialization
-from gridslam.arguments import Size, index_of
+from gridslam.arguments import COUNT, Size, index_of
 from gridslam.checked import checked
 from gridslam.errors import ArgumentError, ConsumedStateError
 from gridslam.geometry.angles import wrap
-from gridslam.geometry.single_pose import Pose, as_pose
+from gridslam.geometry.single_pose import Pose
 from gridslam.grid.tiles import TileMaps
 from gridslam.mapping.occupancy_grid_mapping import OccupancyGridMapping
 from gridslam.particles.ancestry import Ancestry
 from gridslam.particles.resampling import normalize, relative_to_greatest, require_log_weights
 from gridslam.serialization import NOT_SAVED
 from gridslam.slam.grid_fastslam.smoothed_pose import SmoothedPose
-from gridslam.slam.loop_closure.drift_model import compute_step_moments
+from gridslam.slam.loop_closure.drift_model import compute_moments
 from gridslam.slam.loop_closure.state import LoopClosureState
 from gridslam.tracking.state import UnmatchedMotion
 from gridslam.tracking.tracker import TrackerState
 from gridslam.types import FloatArray, IntArray, describe_pose
 
-STATE_SCHEMA = "gridslam.state/15"
+STATE_SCHEMA = "gridslam.state/16"
 
 _DECISIVE = 3.0
 """Nats, odds of 20 to 1, by which another particle is better before it is reported in place of the one that was: else
@@ -81,6 +81,8 @@ class GridFastSlamState:
         Log weight of each particle accumulated along its ancestry, relative to the greatest.
     drift : (9,) float64
         Moments of what that pose has drifted by since the start (see `gridslam.slam.loop_closure.drift_model`).
+    tracked_scans : int
+        Scans since the last key scan.
     drift_covariance : (3, 3) float64
         What the drift grew by since the key scan before, in the frame of the last one's pose.
     unmatched : UnmatchedMotion
@@ -113,6 +115,7 @@ class GridFastSlamState:
     drift_covariance: Annotated[FloatArray, 3, 3] = field(default_factory=lambda: np.zeros((3, 3)))
     unmatched: UnmatchedMotion = field(default_factory=UnmatchedMotion)
     lost: bool = False
+    tracked_scans: Annotated[int, COUNT] = 0
     closure_state: LoopClosureState | None = None
     best: Annotated[int, index_of("N")] = 0
     consumed: bool = field(default=False, metadata=NOT_SAVED)
@@ -181,6 +184,7 @@ class GridFastSlamState:
         self.poses = poses
         self.ancestry.extend(poses)
         self.key_pose = key_pose
+        self.tracked_scans = 0
         self.sensor_key_poses = {**self.sensor_key_poses, sensor: key_pose}
         self.unmatched = self.tracker.take_unmatched()
 
@@ -197,7 +201,8 @@ class GridFastSlamState:
         self.lost = estimate.lost
         self._covariance = estimate.covariance
         self.drift_covariance = estimate.drift_covariance
-        self.drift = self.drift + compute_step_moments(as_pose(estimate.reported.pose), estimate.drift_covariance)
+        (moments,) = compute_moments(estimate.reported.pose[None], estimate.drift_covariance[None])
+        self.drift = self.drift + moments
 
     def resample(self, parents: IntArray) -> None:
         """Let particle i continue particle parents[i], all with equal weights.

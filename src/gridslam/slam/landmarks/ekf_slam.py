@@ -87,7 +87,9 @@ class EkfSlam:
         """
         state = state.take()
         self.predict(state, motion)
-        return state, self.update(state, observations, self._correspondences(state, observations))
+        residuals, S = self.predict_observations(state, observations)  # Table 10.2, lines 9 to 16: correspondences
+        places = self.association(observations, state.names, *mahalanobis(residuals, S))
+        return state, self.update(state, observations, places)
 
     def update(self, state: EkfSlamState, observations: LandmarkObservations, places: IntArray) -> LandmarkReport:
         """Correct a predicted state, in place, by observations of landmarks `places` (K,); returns the report."""
@@ -123,11 +125,6 @@ class EkfSlam:
         P[robot] = G @ P[robot]
         P[:, robot] = P[:, robot] @ G.T
         P[robot, robot] += R
-
-    def _correspondences(self, state: EkfSlamState, observations: LandmarkObservations) -> IntArray:
-        """Table 10.2, lines 9 to 16: the index of each observation's landmark in the state."""
-        residuals, S = self.predict_observations(state, observations)
-        return self.association(observations, state.names, *mahalanobis(residuals, S))
 
     def predict_observations(
         self, state: EkfSlamState, observations: LandmarkObservations

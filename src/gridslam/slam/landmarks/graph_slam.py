@@ -15,7 +15,7 @@ from gridslam.models.landmark import LandmarkModel, LandmarkObservations, Landma
 from gridslam.slam.landmarks.report import LandmarkMap
 from gridslam.slam.landmarks.small_gaussians import inverse_2x2, transform_covariances
 from gridslam.slam.pose_graph.graph_slam import GraphSlam, GraphSolution
-from gridslam.slam.pose_graph.marginals import Marginals
+from gridslam.slam.pose_graph.marginals import marginal_covariances
 from gridslam.slam.pose_graph.pose_graph import PoseGraph
 from gridslam.types import FloatArray, IntArray, MotionModel
 
@@ -99,7 +99,7 @@ class LandmarkGraphSlam:
             solution = self.solver.solve(problem.begin(until, nodes[: known + 1], nodes[known + 1 :]))
             nodes = solution.poses
             known = until
-        covariances = Marginals(solution.weighted_graph).covariances
+        covariances = marginal_covariances(solution.weighted_graph)
         poses = slice(1, known + 1)
         landmarks = slice(known + 1, None)
         observations = np.bincount(problem.place, minlength=len(problem.names))
@@ -149,7 +149,8 @@ class LandmarkGraph:
         moments = [step.motion(motion).moments(np.zeros((1, 3))) for step in steps]
         increments = np.array([increment for (increment,), _ in moments]).reshape(-1, 3)
         spreads = np.array([spread for _, (spread,) in moments]).reshape(-1, 3, 3)
-        spread_at_end = _at_the_end(spreads, increments) + _ALMOST_EXACT * np.eye(3)
+        to_end = compose_jacobians(inverse(increments), increments)[1]  # the graph's: the frame in which each ends
+        spread_at_end = transform_covariances(to_end, spreads) + _ALMOST_EXACT * np.eye(3)
         observed = [step.observations for step in steps if len(step.observations)]
         reported = [name for observations in observed for name in signatures(observations).tolist()]
         place_of = {name: place for place, name in enumerate(dict.fromkeys(reported))}
@@ -210,9 +211,3 @@ def _locate(observations: LandmarkObservations, sensor: LandmarkModel) -> tuple[
     points = sensor.locate(here, observations.values)
     root = inverse_2x2(sensor.linearize(here, points)[2])
     return points, transform_covariances(root, sensor.noise(observations))
-
-
-def _at_the_end(covariances: FloatArray, increments: FloatArray) -> FloatArray:
-    """Turn covariances (T, 3, 3) from the frame in which increments begin to that in which they end: the graph's."""
-    turn = compose_jacobians(inverse(increments), increments)[1]
-    return transform_covariances(turn, covariances)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable
 from dataclasses import replace
 from enum import IntEnum
 from typing import Annotated, NamedTuple, final
@@ -82,33 +82,15 @@ class Constraint(NamedTuple):
         least : float
             Minimum eigenvalue of the position information per inlier beam of a non-degenerate match.
         """
-        (constraint,) = constraints_from_matches(from_, [to], guess[None], match, sigma_m, least, source)
-        return constraint
-
-
-def constraints_from_matches(
-    from_: int,
-    keys: Sequence[int],
-    guesses: FloatArray,
-    matches: Match,
-    sigma_m: float,
-    least: float,
-    source: ConstraintSource,
-) -> list[Constraint]:
-    """Give `Constraint.from_match` for key scans `keys` (K,), each matched from its guess (K, 3)."""
-    scores = matches.score.tolist()
-    weak = [degenerate_direction(*of_match, least) for of_match in zip(matches.information, scores, strict=True)]
-    along = np.zeros((len(weak), 3, 1))
-    for k, direction in enumerate(weak):
-        if direction is not None:
-            along[k, :2, 0] = direction
-    across = np.eye(3) - along * along.swapaxes(1, 2)
-    poses = matches.poses - (along * (along.swapaxes(1, 2) @ (matches.poses - guesses)[:, :, None]))[:, :, 0]
-    information = _rotate(across @ (matches.information / sigma_m**2) @ across, poses) + _FLOOR
-    return [
-        Constraint(from_, key, pose, weight, source, direction is None)
-        for key, pose, weight, direction in zip(keys, poses, information, weak, strict=True)
-    ]
+        (pose,), (information,) = match.poses, match.information
+        weak = degenerate_direction(information, float(match.score[0]), least)
+        along = np.zeros((3, 1))
+        if weak is not None:
+            along[:2, 0] = weak
+        across = np.eye(3) - along * along.T
+        pose = pose - (along * (along.T @ (pose - guess)[:, None]))[:, 0]
+        (weight,) = _rotate((across @ (information / sigma_m**2) @ across)[None], pose[None]) + _FLOOR
+        return cls(from_, to, pose, weight, source, weak is None)
 
 
 def transform_match(frame: FloatArray, match: Match) -> Match:

@@ -106,16 +106,13 @@ class DriftModel:
 
 def scale_covariances(sigma: float, displacements: FloatArray) -> FloatArray:
     """Covariances (N, 3, 3) by the error of the scale, of poses displaced by (N, 2) m from the first one."""
-    covariances = np.zeros((len(displacements), 3, 3))
-    covariances[:, :2, :2] = sigma**2 * displacements[:, :, None] * displacements[:, None, :]
-    return covariances
+    squares = sigma**2 * displacements[:, :, None] * displacements[:, None, :]
+    return np.pad(squares, [(0, 0), (0, 1), (0, 1)])
 
 
 def diagonal_covariances(variances: FloatArray) -> FloatArray:
     """Covariances (K, 3, 3) of variances (K, 2) of position and heading."""
-    found = np.zeros((len(variances), 3, 3))
-    found[:, [0, 1, 2], [0, 1, 2]] = variances[:, [0, 0, 1]]
-    return found
+    return np.asarray(variances[:, None, [0, 0, 1]] * np.eye(3))
 
 
 def compute_moments(poses: FloatArray, covariances: FloatArray) -> FloatArray:
@@ -129,27 +126,6 @@ def compute_moments(poses: FloatArray, covariances: FloatArray) -> FloatArray:
     q = in_map[:, 2, 2]
     position = in_map[:, 0, 0], in_map[:, 0, 1], in_map[:, 1, 1]
     return np.stack([*position, q, q * x, q * y, q * x * x, q * x * y, q * y * y], axis=1)
-
-
-def compute_step_moments(pose: Pose, covariance: FloatArray) -> FloatArray:
-    """Return the moments (9,) of one step to `pose`, as `compute_moments` does for many."""
-    x, y, theta = pose
-    (xx, xy, _), (_, yy, _), (_, _, q) = covariance.tolist()
-    c = math.cos(theta)
-    s = math.sin(theta)
-    return np.array(
-        [
-            c * c * xx - 2 * c * s * xy + s * s * yy,
-            c * s * (xx - yy) + (c * c - s * s) * xy,
-            s * s * xx + 2 * c * s * xy + c * c * yy,
-            q,
-            q * x,
-            q * y,
-            q * x * x,
-            q * x * y,
-            q * y * y,
-        ]
-    )
 
 
 def propagate_covariances(poses: FloatArray, moments: FloatArray) -> FloatArray:

@@ -12,12 +12,12 @@ import numpy as np
 
 from gridslam.arguments import Limits
 from gridslam.geometry.se2 import between, compose
-from gridslam.geometry.single_pose import UNKNOWN_POSE, Pose, as_pose
+from gridslam.geometry.single_pose import UNKNOWN_POSE, Pose
 from gridslam.serialization import NOT_SAVED
 from gridslam.slam.loop_closure.certain_ways import follow_certain_ways
 from gridslam.slam.loop_closure.constraints import Constraint, ConstraintSource, key_scan_pairs
 from gridslam.slam.loop_closure.drift_model import (
-    compute_step_moments,
+    compute_moments,
     position_variances,
     propagate_covariances,
 )
@@ -130,16 +130,6 @@ class KeyGraph:
     def driven_m(self) -> FloatArray:
         """Metres driven (T,) up to each key scan, as tracked."""
         return np.array(self._driven_m)
-
-    @property
-    def newest_m(self) -> float:
-        """Metres driven up to the newest key scan."""
-        return self._driven_m[-1]
-
-    @property
-    def stretches(self) -> int:
-        """Number of stretches that gaps in the laser data separate."""
-        return self._gap_counts[-1] + 1
 
     def begins_drive(self, key: int) -> bool:
         """Whether a key scan is the first one of a drive that was joined with earlier ones."""
@@ -295,6 +285,25 @@ class KeyGraph:
             min(max(self.frozen, 1), count),
         )
 
+    def select(self, keys: IntArray) -> KeyGraph:
+        """Return the graph of the key scans (K,) of some of the drives, at the same poses."""
+        number = {key: place for place, key in enumerate(keys.tolist())}
+        increments = [0, *keys[1:].tolist()]  # none leads to the first one
+        return KeyGraph(
+            tracked=[self.tracked[key] for key in number],
+            odometry=[self.odometry[key] for key in number],
+            poses=[self.poses[key] for key in number],
+            variances=[self.variances[key] for key in increments],
+            covariances=[self.covariances[key] for key in increments],
+            drift_covariances=[self.drift_covariances[key] for key in increments],
+            constraints=[
+                c._replace(from_=number[c.from_], to=number[c.to])
+                for c in self.constraints
+                if c.from_ in number and c.to in number
+            ],
+            frozen=int(np.searchsorted(keys, self.frozen)),
+        )
+
     def snapshot(self) -> KeyGraph:
         """Return a copy for later; arrays that never change are shared."""
         twin = KeyGraph()
@@ -330,10 +339,10 @@ class KeyGraph:
         if not determined:
             return
         covariances = np.asarray(np.linalg.inv(np.array([c.information for c in determined])), np.float64)
-        for constraint, covariance in zip(determined, covariances, strict=True):
-            moments = compute_step_moments(as_pose(self.poses[constraint.to]), covariance)
-            self._links.append(constraint)
-            self._link_moments.append(moments)
+        of_links = compute_moments(np.array([self.poses[c.to] for c in determined]), covariances)
+        self._links += determined
+        self._link_moments += [*of_links]
+        for constraint, moments in zip(determined, of_links, strict=True):
             self._shorten_ways(constraint, moments)
 
     def _drift_at(self, key: int) -> FloatArray:

@@ -218,7 +218,7 @@ class LoopClosure:
         refuted = known.intersection(constraint.identity for constraint in rejected)
         if refuted:
             graph.constraints = [constraint for constraint in graph.constraints if constraint.identity not in refuted]
-            closure_state.correct(np.array(graph.poses))
+            graph.correct(np.array(graph.poses))
         for constraint in new:
             graph.add(constraint)
         if refuted or (new and self.find_contradicted(new, trajectory).any()):
@@ -267,7 +267,7 @@ class LoopClosure:
         graph.constraints[new] = constraints
         if constraints or not pending.new:
             closure_state.correction = Correction(poses, mapper.empty(1, threads))
-        closure_state.correct(poses)
+        closure_state.graph.correct(poses)
         return constraints
 
     def _draw_corrected_map(self, closure_state: LoopClosureState, correction: Correction) -> None:
@@ -289,7 +289,7 @@ class LoopClosure:
             return False
         self._draw_corrected_map(closure_state, correction)
         poses = correction.poses
-        closure_state.correct(poses)
+        closure_state.graph.correct(poses)
         closure_state.online_poses = list(poses)
         state.replace_trajectory(poses, correction.maps)
         closure_state.correction = None

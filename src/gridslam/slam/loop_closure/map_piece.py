@@ -57,15 +57,8 @@ class MapPiece:
 
     def freeze(self) -> MapPiece:
         """Return the piece with its key scans fixed: other pieces are aligned with them."""
-        return self._with_frozen(len(self))
-
-    def release(self) -> MapPiece:
-        """The same piece, nothing of it frozen."""
-        return self._with_frozen(0)
-
-    def _with_frozen(self, key_scans: int) -> MapPiece:
         graph = self.graph.snapshot()
-        graph.frozen = key_scans
+        graph.frozen = len(self)
         return MapPiece(self.scans, graph)
 
     def append(self, later: MapPiece, match: PieceMatch) -> MapPiece:

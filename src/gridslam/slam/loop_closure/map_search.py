@@ -51,7 +51,7 @@ class MapPlace(NamedTuple):
 class MapSearch:
     """Searches a map for submaps: any two keypoints that match in both propose a pose, and the map decides.
 
-    As between two submaps (see `SubmapMatching`), but the map may be of any size and origin: what is known of it is
+    As between two submaps (see `propose_poses`), but the map may be of any size and origin: what is known of it is
     where its obstacles are. A keypoint is matched with several of the map's, and poses are not ranked by how many
     keypoints agree, but by how many points of the submap lie on obstacles.
 

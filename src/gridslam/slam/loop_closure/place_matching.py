@@ -20,7 +20,7 @@ from gridslam.slam.loop_closure.key_graph import (
     position_sigmas,
     submap_of,
 )
-from gridslam.slam.loop_closure.state import LoopClosureState, RejectionReason
+from gridslam.slam.loop_closure.state import LoopClosureState
 from gridslam.slam.loop_closure.submaps import ROW
 from gridslam.types import FloatArray
 
@@ -80,8 +80,8 @@ class PlaceMatching:
         max_correction_m: float,
         source: ConstraintSource,
         anchor: FloatArray | None = None,
-    ) -> Constraint | RejectionReason:
-        """Match a key scan to a submap, within `max_correction_m` of a guess (3,) in its frame.
+    ) -> Constraint | None:
+        """Match a key scan to a submap, within `max_correction_m` of a guess (3,) in its frame; None if it misfits.
 
         That frame is at `anchor` (3,) in `maps`, by default at the origin.
         """
@@ -91,7 +91,7 @@ class PlaceMatching:
         pose = match.poses[0]
         moved = between(begin, pose)
         if math.hypot(moved[0], moved[1]) > max_correction_m or not self.is_inlier_match(maps, pose, beams.ends):
-            return RejectionReason.LOW_INLIER_RATIO
+            return None
         seen = match if anchor is None else transform_match(anchor, match)
         return Constraint.from_match(anchor_of(submap), key, guess, seen, _BEAM_SIGMA_M, _MIN_INFORMATION, source)
 
@@ -124,9 +124,7 @@ class PlaceMatching:
         max_correction_m = 3 * self.certain_sigma_m if tracked is None else _TRACKED_MAX_CORRECTION_M
         maps = closure_state.submap(submap, mapper)
         constraint = self.match(closure_state, maps, newest, submap, guess, max_correction_m, ConstraintSource.TRACKED)
-        if isinstance(constraint, RejectionReason):
-            return False
-        if abs(wrap(constraint.measurement[2] - guess[2])) > _TRACKED_MAX_TURN_RAD:
+        if constraint is None or abs(wrap(constraint.measurement[2] - guess[2])) > _TRACKED_MAX_TURN_RAD:
             return False
         if tracked is None:
             anchor = anchor_of(submap)

@@ -24,7 +24,7 @@ _NEAR_RAD = 0.01
 _BETWEEN_KEYS = 256
 """Of a laser with 1080 beams over 270 degrees 128, 256 and all of them gave the same trajectory, to 3 mm at worst."""
 _MOST_BYTES = 32_000_000
-"""45,000 scans of 180 beams."""
+"""Of the scans between key scans: 45,000 of 180 beams."""
 _MOST_SCANS = 100_000_000
 """Of a saved archive: a month at 40 Hz."""
 
@@ -54,7 +54,6 @@ class _SavedScans:
     steps_m: Annotated[FloatArray, "E"]
     origins: Annotated[FloatArray, "E", 2, Limits(-1e3, 1e3)]
     last_stored_pose: Pose
-    storage_interval: Annotated[int, Limits(1, 1 << 31)]
 
 
 @final
@@ -64,8 +63,8 @@ class ScanArchive:
     That is 1 mm where a laser sees 30 m. Key scans, from which maps are drawn, are kept whole. The others are only
     matched again, one by one: of them every k-th beam is kept, with the least k that leaves at most 256. Of one taken
     within 2 cm and 0.01 rad of the last one that was kept nothing is kept: it saw the same, and a robot that stands for
-    hours would fill the memory. So would one that drives for hours: when all these come to more than 32 MB, only every
-    second scan is kept from then on and from the beginning, later only every fourth.
+    hours would fill the memory. So would one that drives for hours: of all these the first 32 MB are kept, after some
+    hours of driving. What is not kept is not matched again, and lies as it was tracked between the key scans.
 
     Attributes
     ----------
@@ -73,22 +72,20 @@ class ScanArchive:
         Which scans are key scans.
     """
 
-    __slots__ = ("_between_bytes", "_last_stored_pose", "_storage_interval", "_stored", "keys")
+    __slots__ = ("_between_bytes", "_last_stored_pose", "_stored", "keys")
 
     def __init__(self) -> None:
         self.keys: list[int] = []
         self._stored: list[_Stored | None] = []  # of each scan; None where nothing is kept
         self._last_stored_pose = UNKNOWN_POSE
-        self._storage_interval = 1  # every n-th scan between key scans is stored
         self._between_bytes = 0  # of the scans between key scans
 
     def append(self, beams: BeamEnds, pose: Pose, *, is_key: bool) -> None:
         """Append a scan from `pose` in a frame that drifts slowly."""
-        scan = len(self._stored)
         ends = beams.ends
         if not is_key and (
             not len(ends)
-            or scan % self._storage_interval
+            or self._between_bytes > _MOST_BYTES
             or is_within(pose, self._last_stored_pose, _NEAR_M, _NEAR_RAD)
         ):
             self._stored.append(None)
@@ -101,11 +98,9 @@ class ScanArchive:
         if len(ends):
             self._last_stored_pose = pose
         if is_key:
-            self.keys.append(scan)
+            self.keys.append(len(self) - 1)
         else:
             self._between_bytes += stored.steps.nbytes
-        if self._between_bytes > _MOST_BYTES:
-            self._thin_out()
 
     def __len__(self) -> int:
         """Return the number of scans."""
@@ -140,7 +135,6 @@ class ScanArchive:
         self.keys += [len(self) + key for key in later.keys]
         self._stored += later._stored
         self._last_stored_pose = later._last_stored_pose
-        self._storage_interval = max(self._storage_interval, later._storage_interval)
         self._between_bytes += later._between_bytes
 
     def select(self, scans: IntArray, bare: IntArray) -> ScanArchive:
@@ -166,7 +160,6 @@ class ScanArchive:
         twin.keys = self.keys.copy()
         twin._stored = self._stored.copy()
         twin._last_stored_pose = self._last_stored_pose
-        twin._storage_interval = self._storage_interval
         twin._between_bytes = self._between_bytes
         return twin
 
@@ -181,7 +174,6 @@ class ScanArchive:
             np.array([each.step_m for each in stored.values()], np.float64),
             np.array([each.origin for each in stored.values()], np.float64).reshape(-1, 2),
             self._last_stored_pose,
-            self._storage_interval,
         )
         return serialization.to_arrays(saved)
 
@@ -202,16 +194,8 @@ class ScanArchive:
         for scan, each in zip(saved.stored.tolist(), parts, strict=True):
             archive._stored[scan] = each
         archive._last_stored_pose = saved.last_stored_pose
-        archive._storage_interval = saved.storage_interval
         archive._keep(archive._stored)
         return archive
-
-    def _thin_out(self) -> None:
-        """Keep half as many of the scans that are no key scans."""
-        interval = 2 * self._storage_interval
-        keys = set(self.keys)
-        self._keep([each if k % interval == 0 or k in keys else None for k, each in enumerate(self._stored)])
-        self._storage_interval = interval
 
     def _keep(self, stored: list[_Stored | None]) -> None:
         """Let these be the scans, and count the bytes of those between key scans."""

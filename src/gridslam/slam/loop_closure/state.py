@@ -21,7 +21,7 @@ from gridslam.slam.loop_closure.key_graph import KeyGraph
 from gridslam.slam.loop_closure.map_piece import MapPiece, PieceMatch
 from gridslam.slam.loop_closure.scan_archive import ScanArchive
 from gridslam.slam.loop_closure.submap_pairs import SubmapPairs
-from gridslam.slam.loop_closure.submaps import SubmapCache
+from gridslam.slam.loop_closure.submaps import draw_submap
 from gridslam.slam.pose_graph.descent import Computation
 from gridslam.slam.pose_graph.graph_slam import GraphSolution
 from gridslam.types import FloatArray
@@ -30,7 +30,6 @@ from gridslam.types import FloatArray
 class RejectionReason(Enum):
     """Why a loop-closure candidate was rejected."""
 
-    LOW_INLIER_RATIO = "low inlier ratio"
     INCONSISTENT = "too few others agree, or as many contradict"
     IMPLAUSIBLE = "contradicts the graph"
 
@@ -218,21 +217,19 @@ class LoopClosureState:
     joined_after: Annotated[int, Limits(0, "T")] = 0
     found_in: MapPiece | None = field(default=None, metadata=NOT_SAVED)
     threads: int = field(default=1, metadata=NOT_SAVED)
-    submap_cache: SubmapCache = field(default_factory=SubmapCache, metadata=NOT_SAVED)
+    last_submap: tuple[int, TileMaps] | None = field(default=None, metadata=NOT_SAVED)
     pairs: SubmapPairs = field(default_factory=SubmapPairs, metadata=NOT_SAVED)
 
     def submap(self, submap: int, mapper: OccupancyGridMapping) -> TileMaps:
-        """The map of a submap, in the frame of its anchor."""
-        return self.submap_cache(submap, mapper, self.scans, self.graph)
+        """The map of a submap, in the frame of its anchor; the last one is kept, for the next key scan."""
+        if self.last_submap is None or self.last_submap[0] != submap:
+            self.last_submap = submap, draw_submap(submap, mapper, self.scans, self.graph)
+        return self.last_submap[1]
 
     def driven_before_found_m(self, first: int) -> float:
         """Metres driven from key scan `first`, the first one of the drive, until it was found in an earlier piece."""
         tracked = np.array(self.graph.tracked[first : first + self.joined_after])
         return float(np.hypot(*np.diff(tracked[:, :2], axis=0).T).sum())
-
-    def correct(self, poses: FloatArray) -> None:
-        """Set the poses (T, 3) of the key scans."""
-        self.graph.correct(poses)
 
     def reject(self, constraints: Sequence[Constraint], accepted: Sequence[Constraint]) -> None:
         """Forget candidates that the graph contradicts, all but the accepted ones."""
@@ -270,7 +267,7 @@ class LoopClosureState:
         if self.correction is not None:
             self.correction.poses = self.correction.poses[:key_scans]
             self.correction.inserted = min(self.correction.inserted, len(self.correction.poses))
-        self.submap_cache = SubmapCache()
+        self.last_submap = None
         submaps = self.pairs.count_within(key_scans)
         if submaps < len(self.pairs.submaps):
             self.pairs = SubmapPairs()
@@ -289,6 +286,6 @@ class LoopClosureState:
             rejected=self.rejected.copy(),
             pending_constraints=None if pending is None else replace(pending, computation=None),
             correction=None if correction is None else replace(correction, maps=correction.maps.snapshot()),
-            submap_cache=SubmapCache(),
+            last_submap=None,
             pairs=self.pairs.copy(),
         )

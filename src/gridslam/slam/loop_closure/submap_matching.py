@@ -112,85 +112,35 @@ class DrawnSubmap(NamedTuple):
     points: FloatArray
 
 
-@final
-class SubmapMatch(NamedTuple):
-    """A pose (3,) at which one submap fits another, and how well.
-
-    Attributes
-    ----------
-    pose : (3,) float64
-        Of the frame of the newer one, in that of the older one.
-    match : Match
-        Of its points in the older one's map.
-    points : int
-        Number of points that lie in what the other one knows, the lesser of both directions.
-    inlier_ratio : float
-        Mean Cauchy weight of these, the lesser.
-    contradicted : float
-        Share of these that lie in what the other one saw free, the greater.
-    agreeing_keypoints : int
-        Matched keypoints that agree with the pose.
-    """
-
-    pose: FloatArray
-    match: Match
-    points: int
-    inlier_ratio: float
-    contradicted: float
-    agreeing_keypoints: int
-
-
 MAX_POINTS = 1500
 """Points of each submap that are matched, spread evenly."""
+_MIN_KEYPOINTS = 5
+"""Matched keypoints that agree on a pose, at least."""
+_MAX_POSES = 4
+"""Poses of a pair of submaps that are refined, best first."""
+_MIN_POINTS = 300
+"""Least number of points that lie in what the other submap knows, in both directions."""
+_MIN_INFORMATION = 0.06
+"""Least eigenvalue of the position's information, per agreeing point: bare corridors are left out."""
 _INLIER_RATIO = 0.55
-"""Least mean Cauchy weight of these, in both directions."""
+"""Least mean Cauchy weight of the points, in both directions."""
 _INLIER_M = 0.2
 """Distance to the other's obstacles at which a point counts half."""
 _MAX_CONTRADICTED = 0.2
 """Largest share of these that lie where the other saw free space."""
 
 
-@final
-@dataclass(frozen=True)
-class SubmapMatching:
-    """Matches one submap with another, over the full turn.
+def verify_pose(old: DrawnSubmap, new: DrawnSubmap, pose: FloatArray) -> Match | None:
+    """Refine a proposed pose (3,) of the new submap's frame in the old one's, and verify it in both directions.
 
-    Parameters
-    ----------
-    min_keypoints : int
-        Matched keypoints that agree on a pose, at least.
-    max_poses : int
-        Poses of a pair that are refined, best first.
-    min_points : int
-        Least number of these in what the other submap knows.
-    min_information : float
-        Least eigenvalue of the position's information, per agreeing point: bare corridors are left out.
+    Returns the match of the new one's points in the old one's map; None where it does not fit.
     """
-
-    min_keypoints: int = 5
-    max_poses: int = 4
-    min_points: int = 300
-    min_information: float = 0.06
-
-    def propose(self, old: Submap, new: Submap) -> list[tuple[FloatArray, int]]:
-        """Propose poses (3,) of the new submap's frame in the old one's, and how many keypoints agree with each."""
-        pairs = match_features(old.features, new.features)
-        return propose_poses(old.features, new.features, pairs, self.min_keypoints, self.max_poses)
-
-    def verify(self, old: DrawnSubmap, new: DrawnSubmap, pose: FloatArray, keypoints: int) -> SubmapMatch | None:
-        """Refine a proposed pose (3,), and verify it in both directions; None where it does not fit."""
-        match = match_points(old.maps, pose[None], new.points)
-        (refined,) = match.poses
-        if degenerate_direction(match.information[0], float(match.score[0]), self.min_information) is not None:
-            return None
-        there = _compare(old.maps, refined, new.points)
-        back = _compare(new.maps, between(refined, np.zeros(3)), old.points)
-        known = min(there[0], back[0])
-        inliers = min(there[1], back[1])
-        contradicted = max(there[2], back[2])
-        if known < self.min_points or inliers < _INLIER_RATIO or contradicted > _MAX_CONTRADICTED:
-            return None
-        return SubmapMatch(refined, match, known, inliers, contradicted, keypoints)
+    match = match_points(old.maps, pose[None], new.points)
+    (refined,) = match.poses
+    if degenerate_direction(match.information[0], float(match.score[0]), _MIN_INFORMATION) is not None:
+        return None
+    there = _fits(old.maps, refined, new.points)
+    return match if there and _fits(new.maps, between(refined, np.zeros(3)), old.points) else None
 
 
 def is_same_place(pose: FloatArray, other: FloatArray) -> bool:
@@ -199,50 +149,34 @@ def is_same_place(pose: FloatArray, other: FloatArray) -> bool:
     return math.hypot(x, y) < _INLIER_M and abs(turn) < _SAME_HEADING_RAD
 
 
-def _compare(maps: TileMaps, pose: FloatArray, points: FloatArray) -> tuple[int, float, float]:
-    """How many of points (B, 2) at a pose (3,) a map knows, their mean weight, and the share it saw free."""
+def _fits(maps: TileMaps, pose: FloatArray, points: FloatArray) -> bool:
+    """Whether points (B, 2) at a pose (3,) lie on obstacles of a map, many in what it knows, few where it is free."""
     away = maps.distances(ROW, pose[None], points)[0]
-    is_known = maps.is_known(0, points, pose) | (away < _INLIER_M)
-    known = away[is_known]
-    if not len(known):
-        return 0, 0.0, 1.0
-    is_free = known >= 0.9 * maps.reach_m
-    return len(known), float(cauchy_weights(known, _INLIER_M).mean()), float(is_free.mean())
+    known = away[maps.is_known(0, points, pose) | (away < _INLIER_M)]
+    if len(known) < _MIN_POINTS or cauchy_weights(known, _INLIER_M).mean() < _INLIER_RATIO:
+        return False
+    return bool((known >= 0.9 * maps.reach_m).mean() <= _MAX_CONTRADICTED)
 
 
-def propose_poses(
-    old: SubmapFeatures, new: SubmapFeatures, pairs: IntArray, least: int, most: int
-) -> list[tuple[FloatArray, int]]:
-    """Propose poses at which matched keypoints agree: of each two matches whose distance is the same in both submaps.
+def propose_poses(old: SubmapFeatures, new: SubmapFeatures) -> list[FloatArray]:
+    """Propose poses (3,) of one submap in another, with which matched keypoints agree, those of most agreement first.
 
-    Parameters
-    ----------
-    old, new : SubmapFeatures
-        Of both submaps.
-    pairs : (M, 2) int64
-        Keypoints of both that match.
-    least : int
-        Matches that agree with a pose, at least.
-    most : int
-        Poses at most, those with which most agree first.
+    Each two matches whose distance is the same in both submaps give one.
     """
-    a = old.points[pairs[:, 0]]
-    b = new.points[pairs[:, 1]]
+    pairs = match_features(old, new)
     rough = poses_of_pairs(old, new, pairs, _MOST_PAIRS)
     if not len(rough):
         return []
+    a, b = old.points[pairs[:, 0]], new.points[pairs[:, 1]]
     agree = np.square(transform_points(rough[:, None], b) - a).sum(axis=2) < _SAME_M**2
     counts = agree.sum(axis=1)
-    poses: list[tuple[FloatArray, int]] = []
-    taken: list[FloatArray] = []
+    taken: list[int] = []
     for place in np.argsort(-counts, kind="stable").tolist():
-        if counts[place] < least or len(poses) >= most:
+        if counts[place] < _MIN_KEYPOINTS or len(taken) >= _MAX_POSES:
             break
-        if any(_is_near(rough[place], other) for other in taken):
-            continue
-        taken.append(rough[place])
-        poses.append((_fit(a[agree[place]], b[agree[place]]), int(counts[place])))
-    return poses
+        if not any(_is_near(rough[place], rough[other]) for other in taken):
+            taken.append(place)
+    return [_fit(a[agree[place]], b[agree[place]]) for place in taken]
 
 
 def poses_of_pairs(old: SubmapFeatures, new: SubmapFeatures, pairs: IntArray, most: int) -> FloatArray:

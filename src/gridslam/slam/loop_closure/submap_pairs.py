@@ -14,12 +14,12 @@ from gridslam.slam.loop_closure.submap_matching import (
     MAX_POINTS,
     DrawnSubmap,
     Submap,
-    SubmapMatch,
-    SubmapMatching,
     is_same_place,
+    propose_poses,
+    verify_pose,
 )
 from gridslam.slam.loop_closure.walls import leave_open
-from gridslam.types import FloatArray, IntArray
+from gridslam.types import FloatArray, IntArray, Match
 
 _FEWEST_KEY_SCANS = 5
 _MOST_DRAWN = 8
@@ -41,8 +41,8 @@ class SubmapPairs:
         self._stretch = 0  # between gaps in the laser data, of which ...
         self._cut = 0  # ... the first submaps were cut
         self._next_m = -1.0  # driven when the next submap is complete
-        self._proposed: dict[tuple[int, int], list[tuple[FloatArray, int]]] = {}
-        self._verified: dict[tuple[int, int, int], SubmapMatch | None] = {}
+        self._proposed: dict[tuple[int, int], list[FloatArray]] = {}
+        self._verified: dict[tuple[int, int, int], Match | None] = {}
         self._drawn: dict[int, DrawnSubmap] = {}
 
     @property
@@ -63,11 +63,10 @@ class SubmapPairs:
 
         A stretch between gaps ends with a submap of what is left; the last one does so when the drive `is_over`.
         """
-        stretches = graph.stretches
-        if stretches == self._stretch + 1 and graph.newest_m <= self._next_m and not is_over:
+        way, labels = graph.driven_m(), graph.label_gaps()
+        stretches = int(labels[-1]) + 1
+        if stretches == self._stretch + 1 and way[-1] <= self._next_m and not is_over:
             return
-        way = graph.driven_m()
-        labels = graph.label_gaps()
         for stretch in range(self._stretch, stretches):
             own = np.flatnonzero(labels == stretch)
             begin, end = way[own[[0, -1]]].tolist()
@@ -81,24 +80,24 @@ class SubmapPairs:
             self._stretch, self._cut = (stretch + 1, 0) if is_complete else (stretch, len(firsts))
             self._next_m = begin + self._cut * step_m + length_m
 
-    def propose(self, matching: SubmapMatching, older: int, newer: int) -> list[tuple[FloatArray, int]]:
-        """Propose poses (3,) of a submap in another one's frame, and how many keypoints agree with each."""
+    def propose(self, older: int, newer: int) -> list[FloatArray]:
+        """Propose poses (3,) of a submap in another one's frame."""
         pair = (older, newer)
         if pair not in self._proposed:
-            self._proposed[pair] = matching.propose(self.submaps[older], self.submaps[newer])
+            self._proposed[pair] = propose_poses(self.submaps[older].features, self.submaps[newer].features)
         return self._proposed[pair]
 
-    def verify(self, matching: SubmapMatching, older: int, newer: int, numbers: list[int]) -> Iterator[SubmapMatch]:
+    def verify(self, older: int, newer: int, numbers: list[int]) -> Iterator[Match]:
         """Yield the distinct matches at proposed poses, by their numbers."""
         found: list[FloatArray] = []
         for number in numbers:
             key = (older, newer, number)
             if key not in self._verified:
                 begin = self._proposed[older, newer][number]
-                self._verified[key] = matching.verify(self._draw(older), self._draw(newer), *begin)
+                self._verified[key] = verify_pose(self._draw(older), self._draw(newer), begin)
             match = self._verified[key]
-            if match is not None and not any(is_same_place(match.pose, other) for other in found):
-                found.append(match.pose)
+            if match is not None and not any(is_same_place(match.poses[0], other) for other in found):
+                found.append(match.poses[0])
                 yield match
 
     def leave_open(self, older: int, newer: int, pose: FloatArray) -> bool:

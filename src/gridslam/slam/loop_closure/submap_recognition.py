@@ -15,9 +15,8 @@ from gridslam.slam.loop_closure.constraints import Constraint, ConstraintSource,
 from gridslam.slam.loop_closure.key_graph import KeyGraph, position_sigmas
 from gridslam.slam.loop_closure.place_matching import compute_innovation, squared_sigmas
 from gridslam.slam.loop_closure.state import LoopClosureState, SubmapPrior
-from gridslam.slam.loop_closure.submap_matching import SubmapMatch, SubmapMatching
 from gridslam.slam.loop_closure.submap_pairs import SubmapPairs
-from gridslam.types import FloatArray, IntArray
+from gridslam.types import FloatArray, IntArray, Match
 
 _MATCH_SIGMA_M = 0.25
 _MATCH_SIGMA_RAD = 0.03
@@ -43,8 +42,6 @@ _REACH_M = 60.0
 """Way, in both visits, within which matches support each other."""
 _BEAM_SIGMA_M = 0.3
 """Standard deviation of one point in a constraint, inflated for correlated points and cell size."""
-_MATCHING = SubmapMatching()
-"""How two submaps are matched."""
 
 
 @final
@@ -88,7 +85,7 @@ class SubmapRecognition:
         What is done at a key scan depends on counts alone: results do not depend on time, and no scan waits for long.
         """
         graph, search, pairs = closure_state.graph, closure_state.search, closure_state.pairs
-        self.cut(closure_state, mapper, pairs)
+        pairs.cut(graph, closure_state.scans, mapper, self.length_m, self.step_m)
         if search.described < len(pairs.submaps):
             last = min(search.described + _DESCRIBED_AT_A_TIME, len(pairs.submaps))
             for submap in pairs.submaps[search.described : last]:
@@ -143,7 +140,7 @@ class SubmapRecognition:
         the first `searched` key scans are not compared with each other.
         """
         graph = closure_state.graph
-        self.cut(closure_state, mapper, pairs, is_over=True)
+        pairs.cut(graph, closure_state.scans, mapper, self.length_m, self.step_m, is_over=True)
         candidates: list[Constraint] = []
         closure_state.search.unsearched = 0
         for newer, submap in enumerate(pairs.submaps):
@@ -158,17 +155,6 @@ class SubmapRecognition:
         accepted = self.accept(graph, candidates).tolist() if candidates else []
         recognized = [candidate for candidate, is_accepted in zip(candidates, accepted, strict=True) if is_accepted]
         return recognized, len(candidates) - len(recognized)
-
-    def cut(
-        self,
-        closure_state: LoopClosureState,
-        mapper: OccupancyGridMapping,
-        pairs: SubmapPairs,
-        *,
-        is_over: bool = False,
-    ) -> None:
-        """Cut the way into submaps, as far as it is complete or the drive is over."""
-        pairs.cut(closure_state.graph, closure_state.scans, mapper, self.length_m, self.step_m, is_over)
 
     def _expect(self, graph: KeyGraph, pairs: SubmapPairs, newer: int) -> tuple[list[SubmapPrior], int]:
         """Expect older submaps that may show the same place, and count those that the bound of the drift leaves out."""
@@ -197,8 +183,7 @@ class SubmapRecognition:
 
     def _propose(self, pairs: SubmapPairs, prior: SubmapPrior, newer: int) -> list[int]:
         """Propose poses of a submap in an older one, by their numbers, that the drift explains."""
-        proposed = pairs.propose(_MATCHING, prior.older, newer)
-        return [number for number, (pose, _) in enumerate(proposed) if prior.allows(pose)]
+        return [number for number, pose in enumerate(pairs.propose(prior.older, newer)) if prior.allows(pose)]
 
     def _verify(
         self, graph: KeyGraph, pairs: SubmapPairs, prior: SubmapPrior, newer: int, allowed: list[int]
@@ -209,7 +194,7 @@ class SubmapRecognition:
         """
         found = [
             self._make_constraint(graph, pairs, prior.older, newer, match)
-            for match in pairs.verify(_MATCHING, prior.older, newer, allowed)
+            for match in pairs.verify(prior.older, newer, allowed)
         ]
         if not found:
             return []
@@ -265,17 +250,16 @@ class SubmapRecognition:
         is_near &= np.abs(way[older[a]] - way[older[b]]) < _REACH_M
         return squared < _CHI2, is_near
 
-    def _make_constraint(
-        self, graph: KeyGraph, pairs: SubmapPairs, older: int, newer: int, found: SubmapMatch
-    ) -> Constraint:
+    def _make_constraint(self, graph: KeyGraph, pairs: SubmapPairs, older: int, newer: int, found: Match) -> Constraint:
         """Constrain the middles of two submaps, as their match and their own drift determine it."""
         steps = [np.array(graph.variances)[pairs.submaps[number].keys[1:]] for number in (older, newer)]
         bend = _BEND_SHARE * np.concatenate(steps).sum(axis=0)
-        information = rotate_covariances(found.match.information[0], -found.pose[2]) / _BEAM_SIGMA_M**2
+        (pose,) = found.poses
+        information = rotate_covariances(found.information[0], -pose[2]) / _BEAM_SIGMA_M**2
         covariance = np.linalg.inv(information) + np.diag(bend[[0, 0, 1]])
         weight = np.asarray(np.linalg.inv(covariance), np.float64)
         from_, to = (pairs.submaps[number].anchor for number in (older, newer))
-        return Constraint(from_, to, found.pose, weight, ConstraintSource.RECOGNIZED, True)
+        return Constraint(from_, to, pose, weight, ConstraintSource.RECOGNIZED, True)
 
 
 def drift_distance(graph: KeyGraph, older: int, key: int, pose: FloatArray) -> float:

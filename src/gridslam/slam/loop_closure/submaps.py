@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from typing import final
 
 import numpy as np
 
@@ -22,9 +21,6 @@ _COARSE = GaussNewton(cauchy_m=0.3, max_iterations=20, point_to_line=False)
 _FINE = GaussNewton(cauchy_m=0.15)
 DIRECTIONS = np.column_stack([np.cos(np.arange(8) * math.pi / 4), np.sin(np.arange(8) * math.pi / 4), np.zeros(8)])
 """Directions (8, 3) in which places lie beside one."""
-
-_MOST_BYTES = 32_000_000
-"""Of submaps that are kept: all indoors, and few where a laser sees 80 m of open ground."""
 
 _CHANGED = 0.05
 """Share of the cells of a place that change from one drive to the next: furniture and doors, hardly ever walls."""
@@ -86,33 +82,8 @@ def build_map(mapper: OccupancyGridMapping, scans: ScanArchive, keys: IntArray, 
     return maps
 
 
-@final
-class SubmapCache:
-    """Builds submaps in the frame of their anchor and caches the most recent; the cache does not affect results.
-
-    Within a submap the scans lie as tracked, so that it stays as it is when the trajectory is corrected.
-    """
-
-    __slots__ = ("_kept", "_most")
-
-    def __init__(self, most: int = 8) -> None:
-        """Keep `most` submaps at a time, about 0.5 MB each, and fewer large ones; more are hardly used again."""
-        self._kept: dict[int, TileMaps] = {}
-        self._most = most
-
-    def __call__(self, submap: int, mapper: OccupancyGridMapping, scans: ScanArchive, graph: KeyGraph) -> TileMaps:
-        """Give a submap that is complete."""
-        maps = self._kept.pop(submap, None)
-        if maps is None:
-            keys = key_scans_of(submap, graph)
-            anchor = anchor_of(submap)
-            maps = build_map(mapper, scans, keys, graph.tracked_poses_from(anchor, keys))
-            while self._kept and (len(self._kept) >= self._most or self.nbytes + maps.nbytes > _MOST_BYTES):
-                del self._kept[next(iter(self._kept))]
-        self._kept[submap] = maps  # the last used one comes last
-        return maps
-
-    @property
-    def nbytes(self) -> int:
-        """Bytes of the submaps that are kept."""
-        return sum(maps.nbytes for maps in self._kept.values())
+def draw_submap(submap: int, mapper: OccupancyGridMapping, scans: ScanArchive, graph: KeyGraph) -> TileMaps:
+    """Draw a submap that is complete, in the frame of its anchor: its scans lie as tracked, whatever is corrected."""
+    keys = key_scans_of(submap, graph)
+    anchor = anchor_of(submap)
+    return build_map(mapper, scans, keys, graph.tracked_poses_from(anchor, keys))

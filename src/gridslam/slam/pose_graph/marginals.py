@@ -2,131 +2,46 @@
 
 from __future__ import annotations
 
-from functools import cached_property
-from typing import Any, final
+from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike
 
-from gridslam.errors import ArgumentError
-from gridslam.geometry.se2 import between, between_jacobians
 from gridslam.slam.pose_graph.linear import BlockSystem, linearize, require_connected
 from gridslam.slam.pose_graph.pose_graph import PoseGraph
 from gridslam.types import FloatArray, IntArray
 
-_SOLUTIONS_PER_POSE = 0.1
-"""Columns of the inverse that cost as much to solve for as all blocks on its diagonal, for each pose."""
-
 
 def marginal_covariances(graph: PoseGraph) -> FloatArray:
-    """Covariances (N, 3, 3) in m^2, m rad and rad^2 of all poses, map frame; 0 for what is held. See `Marginals`."""
-    return _covariances(len(graph.poses), Marginals(graph).factors())  # with the factors alone in memory
+    """Covariances (N, 3, 3) in m^2, m rad and rad^2 of all poses, map frame; 0 for what is held.
 
-
-@final
-class Marginals:
-    """The normal distribution about the poses of a graph (Laplace's approximation), its information factorized.
+    Those of the normal distribution about the poses (Laplace's approximation), given the poses that are held, by the
+    blocks of the inverse that the factor's pattern holds; right as far as the information of the measurements is.
 
     Parameters
     ----------
     graph : PoseGraph
-        Solved; for a robust solution `GraphSolution.weighted_graph`. Covariances are of the coordinates x, y and theta
-        in the map frame, given the poses that are held, and right as far as the information matrices of the
-        measurements are.
+        Solved; for a robust solution `GraphSolution.weighted_graph`.
 
     Raises
     ------
     ArgumentError
         The measurements do not join all poses.
     """
-
-    def __init__(self, graph: PoseGraph) -> None:
-        require_connected(graph.edges, len(graph.poses))
-        self._poses = graph.poses
-        self._held = graph.held
-        if len(graph.poses) > graph.held:
-            self._system = BlockSystem(graph.edges, len(graph.poses), 3, graph.held)
-            self._system.factorize(self._system.assemble(linearize(graph, graph.poses, graph.errors()))[0])
-
-    @cached_property
-    def covariances(self) -> FloatArray:
-        """Covariances (N, 3, 3) of all poses, by the blocks of the inverse that the factor's pattern holds."""
-        return _covariances(len(self._poses), self.factors())
-
-    def factors(self) -> tuple[Any, ...]:
-        """Return the factors of the information (see `BlockSystem.factors`); none where all poses are held."""
-        return self._system.factors() if len(self._poses) > self._held else ()
-
-    def covariances_with(self, pose: int) -> FloatArray:
-        """Covariances (N, 3, 3) of every pose (rows) with one (columns): three columns of the inverse."""
-        self._check(pose)
-        columns = np.zeros((len(self._poses), 3, 3))
-        for k in range(3 if pose >= self._held else 0):
-            unit = np.zeros(3 * (len(self._poses) - self._held))
-            unit[3 * (pose - self._held) + k] = 1.0
-            columns[:, :, k] = self._system.solve(unit)
-        return columns
-
-    def relative_covariances(self, first: ArrayLike, second: ArrayLike) -> FloatArray:
-        """Covariances (..., 3, 3) of poses `second` (...) seen from poses `first` (...), in the frame of `first`.
-
-        Both broadcast; each different pose among `first` costs three columns of the inverse.
-
-        Raises
-        ------
-        ArgumentError
-            There is no such pose.
-        """
-        a, b = np.broadcast_arrays(np.asarray(first, np.int64), np.asarray(second, np.int64))
-        for pose in np.unique(b).tolist():
-            self._check(pose)
-        cross = np.empty((*a.shape, 3, 3))
-        for pose in np.unique(a).tolist():
-            cross[a == pose] = self.covariances_with(pose)[b[a == pose]]
-        of_first, of_second = between_jacobians(self._poses[a], self._poses[b])
-        mixed = of_first @ cross.swapaxes(-1, -2) @ of_second.swapaxes(-1, -2)
-        sides = (j @ self._of(at) @ j.swapaxes(-1, -2) for j, at in ((of_first, a), (of_second, b)))
-        return np.asarray(sum(sides, mixed + mixed.swapaxes(-1, -2)))
-
-    def squared_innovations(self, edges: IntArray, measurements: FloatArray, information: FloatArray) -> FloatArray:
-        """Squared Mahalanobis distances (K,) of measurements that are not in the graph from what the graph predicts.
-
-        e' (C + information^-1)^-1 e with C the covariance of the prediction: to first order what chi2 would grow by if
-        the measurement were added and followed; for a true one distributed as chi2 with three degrees of freedom.
-
-        Parameters
-        ----------
-        edges, measurements, information : (K, 2) int64, (K, 3) and (K, 3, 3) float64
-            As in `PoseGraph`.
-        """
-        predicted = between(self._poses[edges[:, 0]], self._poses[edges[:, 1]])
-        errors = between(measurements, predicted)[:, :, None]
-        _, turn = between_jacobians(measurements, predicted)
-        spread = turn @ self.relative_covariances(*edges.T) @ turn.transpose(0, 2, 1) + np.linalg.inv(information)
-        return np.asarray((errors * np.linalg.solve(spread, errors)).sum(axis=(1, 2)))
-
-    def _of(self, poses: IntArray) -> FloatArray:
-        """Covariances (..., 3, 3) of some poses (...), by the cheaper way."""
-        some, place = np.unique(poses, return_inverse=True)
-        if "covariances" in self.__dict__ or 3 * len(some) > _SOLUTIONS_PER_POSE * len(self._poses):
-            return self.covariances[poses]
-        own = np.array([self.covariances_with(pose)[pose] for pose in some.tolist()])
-        return own[place.reshape(poses.shape)]
-
-    def _check(self, pose: int) -> None:
-        if not 0 <= pose < len(self._poses):
-            raise ArgumentError("pose", f"a place in [0, {len(self._poses)})", pose)
-
-
-def _covariances(poses: int, factors: tuple[Any, ...]) -> FloatArray:
-    """Covariances (N, 3, 3) of N poses, of which the first are held and the others have these factors."""
-    blocks = np.zeros((poses, 3, 3))
-    if factors:
-        lower, pivots, order = factors
+    require_connected(graph.edges, len(graph.poses))
+    blocks = np.zeros((len(graph.poses), 3, 3))
+    if len(graph.poses) > graph.held:
+        lower, pivots, order = _factorize(graph)
         place = np.empty(len(order), np.int64)
         place[order] = np.arange(len(order))
-        blocks[poses - len(order) // 3 :] = _selected_inverse(lower, np.asarray(pivots), place.reshape(-1, 3))
+        blocks[graph.held :] = _selected_inverse(lower, np.asarray(pivots), place.reshape(-1, 3))
     return blocks
+
+
+def _factorize(graph: PoseGraph) -> Any:  # noqa: ANN401 scipy's sparse matrix, and arrays
+    """Factors of the information of a graph (see `BlockSystem.factors`): they alone stay in memory."""
+    system = BlockSystem(graph.edges, len(graph.poses), 3, graph.held)
+    system.factorize(system.assemble(linearize(graph, graph.poses, graph.errors()))[0])
+    return system.factors()
 
 
 def _selected_inverse(lower: Any, pivots: FloatArray, wanted: IntArray) -> FloatArray:  # noqa: ANN401 scipy's matrix
