@@ -1,4 +1,4 @@
-"""The viewers' side of a run: what its page shows."""
+"""Content of the page of a run."""
 
 from __future__ import annotations
 
