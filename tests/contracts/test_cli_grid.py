@@ -136,7 +136,7 @@ def test_beams_are_deskewed_by_the_trajectory(log, truth, simulated, monkeypatch
         (("--trajectory", "nowhere.tum"), "nowhere.tum: no such file"),
         (("--decay", "0"), "--decay: expected a number of scans above 0"),
         (("--resolution", "0"), "--resolution: expected above 0, at most 1 m, got 0.0"),
-        (("--max-gap", "-1"), "--max-gap: expected a time above 0 s, got -1.0"),
+        (("--max-gap", "-1"), "--max-gap: expected a finite time above 0 s, got -1.0"),
         (("--laser", "sick"), "laser: expected sick-lms"),
         (("--odom", "/odom"), "topics and frames are chosen in bags alone"),
     ],

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any, TypeVar, final
+from typing import final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,8 +12,6 @@ from gridslam.errors import ArgumentError
 from gridslam.kernels import PAGE, TILE, UNKNOWN
 from gridslam.kernels.reference_update import LogOdds, unknown_of
 from gridslam.types import Int32Array, IntArray
-
-_Number = TypeVar("_Number", bound=np.integer[Any])
 
 _MOVED = 1024
 """Tiles that are copied at a time."""
@@ -102,11 +100,6 @@ class TileArena:
         return len(self.tile_refs) - 1 - len(self._free_tiles)
 
     @property
-    def tile_bytes(self) -> int:
-        """Of a tile's log-odds and field."""
-        return (self.log_odds.itemsize + self.field.itemsize) * TILE * TILE
-
-    @property
     def nbytes(self) -> int:
         """Bytes held, used or not."""
         held = (self.pages, self.log_odds, self.field, self.page_refs, self.tile_refs)
@@ -118,33 +111,27 @@ class TileArena:
         return self._free_pages, self._free_tiles
 
     def grow(self) -> None:
-        """Grow the pages or tiles, or both, by a 32nd where none is free.
+        """Grow the pages or tiles, or both, by a 32nd where none is free, in place: no second copy is ever held.
 
         Ids are free only once their memory is there: after a MemoryError all is as it was.
         """
         if not len(self._free_pages):
             free, new = self._extend_ids(self.page_refs)
-            self.pages = self._extend(self.pages, new)
+            self.pages.resize((new, PAGE, PAGE), refcheck=False)
             self.page_refs.resize(new, refcheck=False)
             self._free_pages = free
         if not len(self._free_tiles):
             free, new = self._extend_ids(self.tile_refs)
-            self.log_odds = self._extend(self.log_odds, new)
-            self.field = self._extend(self.field, new)
+            self.log_odds.resize((new, TILE, TILE), refcheck=False)
+            self.field.resize((new, TILE, TILE), refcheck=False)
             self.tile_refs.resize(new, refcheck=False)
             self._free_tiles = free
 
-    def _extend(self, tiles: NDArray[_Number], size: int) -> NDArray[_Number]:
-        """Give tiles or pages with empty ones behind them."""
-        # resize extends large arrays in place: no second copy of the maps is ever held
-        tiles.resize((size, *tiles.shape[1:]), refcheck=False)
-        return tiles
-
     @staticmethod
     def _extend_ids(refs: Int32Array) -> tuple[Int32Array, int]:
-        """Return ids to be added to those that `refs` counts, and how many there are then."""
+        """Return ids to be added to those that `refs` counts, to be taken from the end, and how many there are then."""
         size = min(len(refs) + max(len(refs) // 32, 64), np.iinfo(np.int32).max)
-        return _count_down(len(refs), size), size
+        return np.arange(size - 1, len(refs) - 1, -1, dtype=np.int32), size
 
     def allocate(self, pages: int, tiles: int) -> None:
         """Mark the last `pages` and `tiles` spare ids as used."""
@@ -211,11 +198,6 @@ def _pack(steps: NDArray[np.int16], unit: int) -> NDArray[np.int8] | None:
     stored: NDArray[np.int8] = np.clip(steps // unit, limits.min + 1, limits.max).astype(np.int8)
     np.copyto(stored, limits.min, where=steps == UNKNOWN)
     return stored if np.array_equal(_unpack(stored, unit), steps) else None
-
-
-def _count_down(first: int, end: int) -> Int32Array:
-    """Return ids from `end` - 1 down to `first`: those at the end are taken first."""
-    return np.arange(end - 1, first - 1, -1, dtype=np.int32)
 
 
 def renumber(ids: Int32Array) -> tuple[Int32Array, IntArray]:

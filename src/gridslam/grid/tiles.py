@@ -27,8 +27,6 @@ MOST_CELLS = 2**31
 MOST_TILES = 500_000
 """Tiles of all maps together where nothing else is asked for: 1 GB, or 1.5 (`Evidence.byte_unit`)."""
 
-_Table = tuple[Int32Array, tuple[int, int]]
-
 _ORIGIN = np.zeros(3)
 _PAGE_CELLS = PAGE * TILE
 _RowNumbers = Annotated[Rows, "K", index_of("self")]
@@ -55,44 +53,37 @@ class TiledGrid:
         World coordinates of the lower left corner of cell [0, 0].
     """
 
-    __slots__ = ("_corner", "_is_empty", "_maps", "origin", "resolution_m", "shape")
+    __slots__ = ("_maps", "origin", "resolution_m", "shape")
 
     def __init__(self, maps: TileMaps, row: int) -> None:
         """Take map `row` as it is now."""
         self._maps = maps.snapshot(np.array([row]))
         ids, (tile_row, tile_column) = maps.tile_ids(row)
-        self._is_empty = not ids.any()
-        self._corner = tile_row * TILE, tile_column * TILE
-        self.shape = (1, 1) if self._is_empty else (len(ids) * TILE, ids.shape[1] * TILE)
+        self.shape = (len(ids) * TILE, ids.shape[1] * TILE) if ids.any() else (1, 1)
         self.resolution_m = maps.resolution_m
-        self.origin = cell_corner(*self._corner, maps.resolution_m)
+        self.origin = cell_corner(tile_row * TILE, tile_column * TILE, maps.resolution_m)
 
     def rows(self, first: int, last: int) -> OccupancyGrid:
         """Unfold rows `first` to `last` - 1."""
-        ids = np.zeros((1, 1), np.int32) if self._is_empty else self._tile_ids(first // TILE, -(-last // TILE))
+        ids, (tile_row, tile_column) = self._maps.tile_ids(0)
+        ids = ids[first // TILE : -(-last // TILE)]
         log_odds = np.zeros((len(ids) * TILE, ids.shape[1] * TILE), np.float32)
         known = np.zeros(log_odds.shape, np.bool_)
-        for tile_row, strip_ids in enumerate(ids):
+        for number, strip_ids in enumerate(ids):
             if not strip_ids.any():
                 continue
-            strip = slice(tile_row * TILE, (tile_row + 1) * TILE)
+            strip = slice(number * TILE, (number + 1) * TILE)
             cells = self._maps.tiles(strip_ids).swapaxes(0, 1).reshape(TILE, -1)
             np.not_equal(cells, UNKNOWN, out=known[strip])
             log_odds[strip] = np.where(known[strip], cells, 0)
             log_odds[strip] *= LOG_ODDS_UNIT
-        row, column = self._corner
         part = slice(first % TILE, first % TILE + last - first), slice(self.shape[1])
-        corner = cell_corner(row + first, column, self.resolution_m)
+        corner = cell_corner(tile_row * TILE + first, tile_column * TILE, self.resolution_m)
         return OccupancyGrid(log_odds[part], known[part], self.resolution_m, corner)
 
     def whole(self) -> OccupancyGrid:
         """Unfold all of it."""
         return self.rows(0, self.shape[0])
-
-    def _tile_ids(self, first: int, last: int) -> Int32Array:
-        """Return ids (last - first, C) of rows of tiles `first` to `last` - 1."""
-        row, column = (cell // TILE for cell in self._corner)
-        return self._maps.tile_ids_within(0, (row + first, row + last), (column, column + self.shape[1] // TILE))
 
 
 @lru_cache(8)
@@ -102,41 +93,6 @@ def _make_cone(reach_cells: float) -> NDArray[np.uint8]:
     apart = np.hypot(*np.mgrid[-r : r + 1, -r : r + 1])
     cone: NDArray[np.uint8] = np.rint(255 * np.maximum(0, 1 - apart / reach_cells)).astype(np.uint8)
     return cone
-
-
-@final
-class _ScanUpdate:
-    """A scan that is inserted into maps `rows` (K,) at poses (K, 3).
-
-    `scan` is what the kernel is given from the ends of the beams on; a table is that of `TileMaps`, and its corner.
-    """
-
-    __slots__ = ("_poses", "_rows", "_scan")
-
-    def __init__(self, rows: Rows, poses: FloatArray, scan: tuple[Any, ...]) -> None:
-        self._rows = rows
-        self._poses = poses
-        self._scan = scan
-
-    def run(self, arena: TileArena, table: _Table, room: int) -> int:
-        """Insert the scan; OUTSIDE or NO_ROOM where that was refused, and nothing was written."""
-        return self._go_on(arena, table, backend.update(*self._arguments(arena, table, _NOTHING_PENDING, room)))
-
-    def _go_on(self, arena: TileArena, table: _Table, updated: Updated) -> int:
-        """Make more ids as long as they do not suffice."""
-        while True:
-            status, pages, tiles, left, pending = updated
-            arena.allocate(pages, tiles)
-            if status or not (len(left) or len(pending)):
-                return status
-            self._rows, self._poses = self._rows[left], self._poses[left]
-            arena.grow()
-            updated = backend.update(*self._arguments(arena, table, pending, -1))
-
-    def _arguments(self, arena: TileArena, table: _Table, pending: Int32Array, room: int) -> tuple[Any, ...]:
-        ids = arena.page_refs, arena.tile_refs, *arena.free_ids
-        tiles = arena.pages, arena.log_odds, arena.field
-        return (*table, *tiles, *ids, pending, room, self._rows, self._poses, *self._scan)
 
 
 @final
@@ -297,19 +253,31 @@ class TileMaps:
         """
         if not len(beams):
             return
-        arena = self._arena
-        room = self.most_tiles - arena.tiles_used
-        scan = beams.ends, beams.origin, self.resolution_m, *self._steps, self._cone, 2 * self.reach_m, self.threads
-        update = _ScanUpdate(rows, poses, scan)
-        status = update.run(arena, (self._roots, self._first), room)
+        room = self.most_tiles - self.tiles_used
+        status = self._insert(rows, poses, beams, room)
         if status == OUTSIDE:
             self._cover(poses, beams)
-            status = update.run(arena, (self._roots, self._first), room)
+            status = self._insert(rows, poses, beams, room)
         if status == NO_ROOM:
             self._require_room(
                 backend.tiles_on_rays(rows, poses, beams.ends, beams.origin, self.resolution_m, self.threads)
             )
-            update.run(arena, (self._roots, self._first), -1)
+            self._insert(rows, poses, beams, -1)
+
+    def _insert(self, rows: Rows, poses: FloatArray, beams: BeamEnds, room: int) -> int:
+        """Insert a scan, and make more ids where they do not suffice; OUTSIDE or NO_ROOM if nothing was written."""
+        arena = self._arena
+        scan = beams.ends, beams.origin, self.resolution_m, *self._steps, self._cone, 2 * self.reach_m, self.threads
+        pending = _NOTHING_PENDING
+        while True:
+            ids = arena.page_refs, arena.tile_refs, *arena.free_ids
+            updated: Updated = backend.update(*self._view, *ids, pending, room, rows, poses, *scan)
+            status, pages, tiles, left, pending = updated
+            arena.allocate(pages, tiles)
+            if status or not (len(left) or len(pending)):
+                return status
+            rows, poses, room = rows[left], poses[left], -1
+            arena.grow()
 
     def limit(self, log_odds: float) -> None:
         """Limit the log-odds of all known cells of all maps to `log_odds` nats, so that less evidence can change them.
@@ -444,19 +412,6 @@ class TileMaps:
         corner = self._first[0] * PAGE + int(rows[0]), self._first[1] * PAGE + int(columns[0])
         return ids[rows[0] : rows[-1] + 1, columns[0] : columns[-1] + 1], corner
 
-    def tile_ids_within(self, row: _Row, rows: tuple[int, int], columns: tuple[int, int]) -> Int32Array:
-        """Ids (R, C) of the tiles of one map in `rows` and `columns` (from, to) of tiles, all within the table."""
-        page_row = rows[0] // PAGE
-        page_column = columns[0] // PAGE
-        table_rows = slice(page_row - self._first[0], -(-rows[1] // PAGE) - self._first[0])
-        table_columns = slice(page_column - self._first[1], -(-columns[1] // PAGE) - self._first[1])
-        pages = self._arena.pages[self._roots[row, table_rows, table_columns]]  # (P, Q, PAGE, PAGE)
-        ids = pages.swapaxes(1, 2).reshape(len(pages) * PAGE, pages.shape[1] * PAGE)
-        return ids[
-            rows[0] - PAGE * page_row : rows[1] - PAGE * page_row,
-            columns[0] - PAGE * page_column : columns[1] - PAGE * page_column,
-        ]
-
     def tiles(self, ids: Annotated[IntArray | Int32Array, "K"]) -> NDArray[np.int16]:
         """Copies (K, 32, 32) of tiles by id (K,): log-odds in units of `LOG_ODDS_UNIT`; `UNKNOWN` where nothing is."""
         return self._arena.steps_of(ids)
@@ -540,7 +495,8 @@ class TileMaps:
         is_new = (tile == 0) | (arena.tile_refs[tile] > 1) | (arena.page_refs[page] > 1)
         needed = self.tiles_used + int(np.count_nonzero(is_new))
         if needed > self.most_tiles:
-            size = f"{self.most_tiles} tiles, {1e-9 * self.most_tiles * arena.tile_bytes:.2g} GB"
+            tile_bytes = arena.log_odds[0].nbytes + arena.field[0].nbytes
+            size = f"{self.most_tiles} tiles, {1e-9 * self.most_tiles * tile_bytes:.2g} GB"
             expected = (
                 f"at most {size} for all particles (mapper.max_tiles; larger cells and fewer particles need less)"
             )

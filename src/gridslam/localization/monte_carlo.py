@@ -41,14 +41,14 @@ from gridslam.localization.place_verification import (
     update_outside_log_odds,
 )
 from gridslam.localization.recovery import AugmentedRecovery, propose_poses
-from gridslam.localization.state import LocalizationReport, LocalizationSkip, MonteCarloState, validate_poses
+from gridslam.localization.state import LocalizationReport, LocalizationSkip, MonteCarloState
 from gridslam.matching.beam_order import BeamOrder
 from gridslam.matching.gauss_newton import NO_PRIOR, GaussNewton, degenerate_direction
 from gridslam.models.beam import BeamRangeFinder
 from gridslam.models.endpoint import LikelihoodField
 from gridslam.models.motion import DiffusionMotion, GMappingMotion, OdometryMotion
 from gridslam.parameters import Kind, bounded, parameters
-from gridslam.particles.initial import sample_gaussian
+from gridslam.particles.initial import copy_poses, sample_gaussian
 from gridslam.particles.policies import AlwaysResample, EffectiveSampleSizeBelow, MotionThreshold
 from gridslam.particles.resampling import Systematic, normalize
 from gridslam.scan import Thinning
@@ -190,7 +190,7 @@ class MonteCarloLocalization:
 
         Where nothing is known the first scan that is used draws the particles.
         """
-        poses = np.empty((0, 3)) if particles is None else validate_poses(particles)
+        poses = np.empty((0, 3)) if particles is None else copy_poses(particles)
         log_weights = np.full(len(poses), -math.log(max(len(poses), 1)))
         known = len(poses) > 0
         estimate = estimate_pose(poses, np.exp(log_weights)) if known else _UNKNOWN_POSE

@@ -3,22 +3,19 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from enum import Enum
 from typing import Annotated, Protocol, final
 
 import numpy as np
 
 from gridslam.arguments import COUNT, SHARE, Limits
-from gridslam.errors import ArgumentError, ConsumedStateError
-from gridslam.geometry.angles import wrap
 from gridslam.geometry.se2 import compose
 from gridslam.localization.belief import NO_HYPOTHESES, PoseEstimate, PoseHypotheses, is_in_cluster
 from gridslam.localization.odometry_check import TrackedMotion
 from gridslam.localization.place_verification import NO_SCANS, RecentScans
 from gridslam.localization.recovery import InlierRatioAverages
-from gridslam.serialization import NOT_SAVED
-from gridslam.types import FloatArray, IntArray, Odometry, describe_pose, describe_time
+from gridslam.types import FloatArray, IntArray, Odometry, OwnedState, describe_pose, describe_time
 
 
 class LocalizationSkip(Enum):
@@ -95,7 +92,7 @@ _ELSEWHERE_M = 3.0
 
 @final
 @dataclass(slots=True, eq=False)
-class MonteCarloState:
+class MonteCarloState(OwnedState):
     """Everything that the filter knows between two scans; arrays in it are replaced, those of local maps written to.
 
     Attributes
@@ -146,7 +143,6 @@ class MonteCarloState:
     updates: Annotated[int, COUNT] = 0
     looking: bool = False
     tracked: TrackedMotion | None = None
-    consumed: bool = field(default=False, metadata=NOT_SAVED)
 
     def __repr__(self) -> str:
         """Return one line."""
@@ -208,25 +204,14 @@ class MonteCarloState:
         self.poses = self.poses.take(parents, axis=0)
         self.log_weights = np.full(len(parents), -np.log(len(parents)))
 
-    def take(self) -> MonteCarloState:
-        """Hand the contents over to a new owner; this one raises ConsumedStateError from now on."""
-        self._check()
-        owner = replace(self)
-        self.consumed = True
-        return owner
-
     def revive(self) -> None:
         """Undo a step that failed: the state is as before it, except that the tracker may have followed the scan."""
         self.consumed = False
 
     def snapshot(self) -> MonteCarloState:
         """Keep this state for later, at the cost of the tables of the tracker's local maps."""
-        self._check()
+        self.require_owned()
         return replace(self, tracked=None if self.tracked is None else self.tracked.snapshot())
-
-    def _check(self) -> None:
-        if self.consumed:
-            raise ConsumedStateError
 
 
 class LocalizationObserver(Protocol):
@@ -234,12 +219,3 @@ class LocalizationObserver(Protocol):
 
     def __call__(self, report: LocalizationReport, state: MonteCarloState, seconds: float) -> None:
         """Record a step that took `seconds`; `state` may be read now, but belongs to the filter."""
-
-
-def validate_poses(particles: FloatArray) -> FloatArray:
-    """Copy of finite poses (N, 3), theta wrapped; raises ArgumentError for anything else."""
-    poses = np.array(particles, np.float64)
-    if poses.ndim != 2 or poses.shape[1] != 3 or not np.isfinite(poses).all():
-        raise ArgumentError("particles", "finite poses of shape (N, 3)", f"{particles!r:.60}")
-    poses[:, 2] = wrap(poses[:, 2])
-    return poses

@@ -44,10 +44,8 @@ class KnownPoses:
     def __init__(self, trajectory: Trajectory, max_gap_s: float = 1.0) -> None:
         if not len(trajectory):
             raise ArgumentError("trajectory", "at least one pose", "none")
-        if not max_gap_s > 0:
-            raise ArgumentError("max_gap_s", "a time above 0 s", max_gap_s)
-        if max_gap_s == np.inf:
-            raise ArgumentError("max_gap_s", "a finite time", max_gap_s)
+        if not 0 < max_gap_s < np.inf:
+            raise ArgumentError("max_gap_s", "a finite time above 0 s", max_gap_s)
         order = np.argsort(trajectory.stamps_ns, kind="stable")
         self._stamps = trajectory.stamps_ns[order]
         self._poses = trajectory.poses[order]

@@ -172,7 +172,7 @@ class RangeBearing:
 
     def noise(self, observations: LandmarkObservations) -> FloatArray:
         """Q (K, 2, 2) [m^2, m rad, rad^2] of K observations."""
-        return _noise(observations, self.sigma_range_m, self.sigma_bearing_rad)
+        return _noise(observations, self.sigma_range_m**2, self.sigma_bearing_rad**2)
 
 
 @final
@@ -220,12 +220,8 @@ class DepthBearing:
 
     def noise(self, observations: LandmarkObservations) -> FloatArray:
         """Q (K, 2, 2) [m^2, m rad, rad^2] of K observations."""
-        if observations.covariances is not None:
-            return observations.covariances
-        noise = np.zeros((len(observations), 2, 2))
-        noise[:, 0, 0] = self.sigma_depth_m**2 + (self.sigma_depth_per_m * observations.values[:, 0] ** 2) ** 2
-        noise[:, 1, 1] = self.sigma_bearing_rad**2
-        return noise
+        by_depth = self.sigma_depth_per_m * observations.values[:, 0] ** 2
+        return _noise(observations, self.sigma_depth_m**2 + by_depth**2, self.sigma_bearing_rad**2)
 
 
 @final
@@ -264,7 +260,7 @@ class RelativePosition:
 
     def noise(self, observations: LandmarkObservations) -> FloatArray:
         """Q (K, 2, 2) [m^2] of K observations."""
-        return _noise(observations, self.sigma_x_m, self.sigma_y_m)
+        return _noise(observations, self.sigma_x_m**2, self.sigma_y_m**2)
 
 
 def offset(poses: FloatArray, landmarks: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -299,10 +295,11 @@ def _with_bearing_wrapped(residual: FloatArray) -> FloatArray:
     return residual
 
 
-def _noise(observations: LandmarkObservations, first: float, second: float) -> FloatArray:
+def _noise(observations: LandmarkObservations, first: float | FloatArray, second: float) -> FloatArray:
+    """Covariances (K, 2, 2) of the observations: their own if there are any, else of these variances."""
     if observations.covariances is not None:
         return observations.covariances
     noise = np.zeros((len(observations), 2, 2))
-    noise[:, 0, 0] = first**2
-    noise[:, 1, 1] = second**2
+    noise[:, 0, 0] = first
+    noise[:, 1, 1] = second
     return noise

@@ -116,12 +116,15 @@ class Ancestry:
         """
         if not 0 <= particle < len(self):
             raise ArgumentError("particle", f"an index in [0, {len(self)})", particle)
-        only: FloatArray = self._trajectories(self._leaves[particle : particle + 1])[0]
-        return only
-
-    def trajectories(self) -> FloatArray:
-        """Return poses (N, T, 3) of all particles."""
-        return self._trajectories(self._leaves)
+        place = self._leaves[particle]
+        trunk = self._trunk_poses
+        past = np.empty((self.steps, self._width))
+        past[: len(trunk)] = trunk
+        for k in range(len(self._levels) - 1, -1, -1):
+            poses, parents = self._levels[k]
+            past[len(trunk) + k] = poses[place]
+            place = parents[place]
+        return past
 
     def snapshot(self) -> Ancestry:
         """Return an independent copy; it shares the levels, which are never written to, and copies the trunk."""
@@ -214,14 +217,3 @@ class Ancestry:
             self._trunk.frombytes(self._levels[lone].poses.tobytes())
             lone += 1
         del self._levels[:lone]
-
-    def _trajectories(self, places: IntArray) -> FloatArray:
-        """Return poses (len(places), T, 3) along the pasts of nodes of the newest level."""
-        trunk = self._trunk_poses
-        past = np.empty((len(places), self.steps, self._width))
-        past[:, : len(trunk)] = trunk
-        for k in range(len(self._levels) - 1, -1, -1):
-            poses, parents = self._levels[k]
-            past[:, len(trunk) + k] = poses.take(places, axis=0)
-            places = parents.take(places)
-        return past

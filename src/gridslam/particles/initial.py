@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import ArrayLike
 
-from gridslam.arguments import freeze, require_generator, require_instance
+from gridslam.arguments import describe, freeze, require_generator, require_instance
 from gridslam.checked import checked
 from gridslam.errors import ArgumentError
 from gridslam.geometry.angles import wrap
@@ -42,6 +42,15 @@ def repeat_pose(count: int, pose: ArrayLike) -> FloatArray:
         raise ArgumentError("pose", "finite [x, y, theta]", mean.tolist())
     mean[2] = wrap(mean[2])
     return np.tile(mean, (count, 1))
+
+
+def copy_poses(particles: ArrayLike, least: int = 0) -> FloatArray:
+    """Copy finite poses (N, 3) of particles, N >= `least`, theta wrapped; raises ArgumentError for anything else."""
+    poses = freeze(particles, np.float64, (None, 3), "particles").copy()
+    if len(poses) < least or not np.isfinite(poses).all():
+        raise ArgumentError("particles", f"{least} or more finite poses (N, 3)", describe(particles))
+    poses[:, 2] = wrap(poses[:, 2])
+    return poses
 
 
 @checked

@@ -28,10 +28,6 @@ _Weights = Annotated[FloatArray, "N"]
 _Count = Annotated[int, Limits(0, 1 << 30)]
 
 
-_HUGE = 1e290
-"""Less than this can be subtracted from the least number there is: it is less than half of that one's last digit."""
-
-
 @checked
 def normalize(log_weights: FloatArray) -> FloatArray:
     """Shift log weights so that the weights sum to 1.
@@ -81,12 +77,6 @@ def entropy(log_weights: FloatArray) -> float:
     return float(np.log(total) - weights[drawn] @ shifted[drawn] / total)
 
 
-def relative_to_greatest(log_weights: FloatArray) -> FloatArray:
-    """Shift log weights (N,), in nats, so that the greatest is 0."""
-    shifted: FloatArray = log_weights - log_weights.max()
-    return shifted
-
-
 def require_log_weights(log_weights: FloatArray) -> None:
     """Reject log weights (N,), N >= 1, that are NaN or infinite, or all of weight zero."""
     greatest = float(log_weights.max())
@@ -101,11 +91,8 @@ def _exponentiate(log_weights: FloatArray) -> tuple[FloatArray, FloatArray]:
         raise ArgumentError("log_weights", "shape (N,) with N >= 1", given.shape)
     require_log_weights(given)
     greatest = float(given.max())
-    if greatest < _HUGE:
+    with np.errstate(over="ignore"):  # a difference beyond the number range is a weight of 0 all the same
         shifted = given - greatest
-    else:
-        with np.errstate(over="ignore"):  # a difference beyond the number range is a weight of 0 all the same
-            shifted = given - greatest
     return np.exp(shifted), shifted
 
 

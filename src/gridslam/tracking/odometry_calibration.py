@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from typing import Annotated, final
 
 import numpy as np
@@ -93,10 +93,6 @@ class OdometryErrorModel:
         share = min(1.0, max(moved_m / SEGMENT_M, turned_rad / SEGMENT_RAD))
         position, heading = self.variances.tolist()
         return share * position, share * heading
-
-    def snapshot(self) -> OdometryErrorModel:
-        """Keep a copy for later."""
-        return replace(self)
 
 
 @final

@@ -131,16 +131,13 @@ class ConstantVelocity:
             min_score=0.6,
         )
 
-    def sigmas(self, seconds: float) -> tuple[float, float]:
-        """Standard deviations (m, rad) of a prediction over `seconds`."""
-        return _SIGMA_M + self.sigma_mps * seconds, _SIGMA_RAD + self.sigma_rps * seconds
-
     def predict(self, state: TrackerState, seconds: float) -> Prediction:
         """Predict the pose after `seconds` of the present velocity."""
         vx, vy, omega = state.twist
         pose = compose(state.pose, exp((seconds * vx, seconds * vy, seconds * omega)))
         turned = abs(omega) * seconds
-        return Prediction(pose, False, seconds, 0.0, turned, *self.sigmas(seconds), _BEAM_SIGMA_M)
+        sigmas = _SIGMA_M + self.sigma_mps * seconds, _SIGMA_RAD + self.sigma_rps * seconds
+        return Prediction(pose, False, seconds, 0.0, turned, *sigmas, _BEAM_SIGMA_M)
 
     def exceeds(self, a: Pose, b: Pose, seconds: float, margin_m: float, margin_rad: float) -> bool:
         """Return whether poses are farther apart than the margins and the way that the robot drives in `seconds`."""

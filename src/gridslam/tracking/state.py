@@ -205,7 +205,7 @@ class TrackerState:
 
     def snapshot(self) -> TrackerState:
         """Keep a copy for later, at the cost of the maps' tables."""
-        return replace(self, maps=self.maps.snapshot(), odometry_errors=self.odometry_errors.snapshot())
+        return replace(self, maps=self.maps.snapshot(), odometry_errors=replace(self.odometry_errors))
 
 
 def is_within(a: Pose, b: Pose, metres: float, radians: float) -> bool:

@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
-from functools import cached_property
 from typing import Annotated, final
 
 import numpy as np
@@ -303,7 +302,7 @@ class Tracker:
     def _match_from_odometry(self, state: TrackerState, predicted: Prediction, beams: BeamEnds) -> PoseEstimate:
         """Match from a prediction by odometry; where a match is implausible, only its heading is taken."""
         known = self._is_calibrated(state)
-        matcher = self._calibrated_matcher if known else self.matcher
+        matcher = calibrated(self.matcher) if known else self.matcher
         is_sparse = self.search.is_sparse(state)
         prior, matched = predicted.prior, beams
         if known and not is_sparse:
@@ -402,13 +401,9 @@ class Tracker:
             is_good_match = found.inlier_ratio >= self.search_inlier_ratio
             self.calibration.learn(state.odometry_errors, found.pose, state.odometry, is_good_match, found.determined)
 
-    @cached_property
-    def _calibrated_matcher(self) -> GaussNewton:
-        return calibrated(self.matcher)
-
     def _is_determined(self, match: PoseMatch) -> bool:
         """Whether a match is non-degenerate, and better than calibrated odometry."""
-        return match.degenerate_direction(self._calibrated_matcher.min_information) is None
+        return match.degenerate_direction(calibrated(self.matcher).min_information) is None
 
     def _insert(self, state: TrackerState, found: PoseEstimate, beams: Beams, own: Surfaces | None) -> None:
         """Insert the scan if its laser has moved since its last one, and if one knows where it was taken."""

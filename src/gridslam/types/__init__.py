@@ -19,6 +19,7 @@ from gridslam.scan import (
     StoredScan,
 )
 from gridslam.types.grid import GridRows, OccupancyGrid
+from gridslam.types.ownership import OwnedState
 from gridslam.types.protocols import DistanceMaps, MotionModel, MotionSampler, Resampler, ScanLikelihood, SensorModel
 from gridslam.types.values import (
     Match,
@@ -48,6 +49,7 @@ __all__ = [
     "MotionSampler",
     "OccupancyGrid",
     "Odometry",
+    "OwnedState",
     "Points",
     "Poses",
     "Resampler",

@@ -151,5 +151,5 @@ def test_what_was_seen_before_a_gap_is_not_searched_for(seen):
     later = drive(seen, LAP, len(seen.truth), ELSEWHERE, gap=40)
     graph = later.graph
     graph.tracked[40:] = list(compose(ELSEWHERE, np.array(graph.tracked[40:])))  # nothing is known of the way there
-    match = locator([lap(seen)]).align(later, 0, np.arange(40, len(graph)))
-    assert np.hypot(*between(seen.truth[LAP + 40 :], match.poses[40:])[:, :2].T).max() < 0.1
+    found = locator([lap(seen)]).align(later, 0, np.arange(40, len(graph)))
+    assert np.hypot(*between(seen.truth[LAP + 40 :], found.match.poses[40:])[:, :2].T).max() < 0.1

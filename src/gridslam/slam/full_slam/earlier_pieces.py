@@ -135,18 +135,14 @@ class EarlierPieces:
         In rooms that are all alike no part of a drive is certain, but as a whole it lies in one place alone.
         """
         keys = np.arange(len(closure_state.graph))
-        found = (self._find_all(closure_state, number, keys) for number in range(self._turns))
+        found = (self.align(closure_state, number, keys) for number in range(self._turns))
         return next(filter(None, found), None)
 
-    def align(self, closure_state: LoopClosureState, number: int, keys: IntArray) -> PieceMatch | None:
+    def align(self, closure_state: LoopClosureState, number: int, keys: IntArray) -> FoundPiece | None:
         """Align consecutive key scans (K,) of a drive with piece `number`; None if that is not certain.
 
         The match has the poses of all key scans of the drive.
         """
-        found = self._find_all(closure_state, number, keys)
-        return None if found is None else found.match
-
-    def _find_all(self, closure_state: LoopClosureState, number: int, keys: IntArray) -> FoundPiece | None:
         aligned = next(filter(None, self._align_in_shares(closure_state, number, keys)), None)
         return None if aligned is None else self._find(closure_state, number, aligned)
 

@@ -108,9 +108,10 @@ def _link(
     poses = later.poses
     groups: list[list[tuple[FloatArray, list[Constraint]]]] = []
     for window in _windows(later):
-        match = located.align(state, 0, window)
-        if match is None:
+        found = located.align(state, 0, window)
+        if found is None:
             continue
+        match = found.match
         middle = len(window) // 2
         frame = compose(match.poses[window[middle]], inverse(poses[window[middle]]))
         for group in groups:
@@ -123,12 +124,12 @@ def _link(
         if len(groups[0]) >= _ENOUGH + sum(map(len, groups[1:])):
             break
     if not groups or len(groups[0]) <= 2 * sum(map(len, groups[1:])):
-        match = located.align(state, 0, np.arange(len(later)))
-        if match is None:
+        whole = located.align(state, 0, np.arange(len(later)))
+        if whole is None:
             return None
-        return compose(match.poses[0], inverse(poses[0])), match.constraints
-    found = {constraint.pair: constraint for _, constraints in groups[0] for constraint in constraints}
-    return groups[0][0][0], list(found.values())
+        return compose(whole.match.poses[0], inverse(poses[0])), whole.match.constraints
+    joined = {constraint.pair: constraint for _, constraints in groups[0] for constraint in constraints}
+    return groups[0][0][0], list(joined.values())
 
 
 def _windows(piece: MapPiece) -> Iterator[IntArray]:

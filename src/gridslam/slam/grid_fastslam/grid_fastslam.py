@@ -13,16 +13,13 @@ from typing import final
 import numpy as np
 from numpy.typing import ArrayLike
 
-from gridslam.arguments import describe
 from gridslam.checked import checked
-from gridslam.errors import ArgumentError
-from gridslam.geometry.angles import wrap
 from gridslam.geometry.single_pose import Pose, between
 from gridslam.mapping.occupancy_grid_mapping import OccupancyGridMapping
 from gridslam.models.endpoint import CauchyEndPoint
 from gridslam.models.motion import DiffusionMotion, add_noise
 from gridslam.particles.ancestry import Ancestry
-from gridslam.particles.initial import repeat_pose
+from gridslam.particles.initial import copy_poses, repeat_pose
 from gridslam.particles.policies import EffectiveSampleSizeBelow, MotionThreshold, ResamplingPolicy, UpdatePolicy
 from gridslam.particles.resampling import Systematic, effective_sample_size
 from gridslam.scan import Thinning
@@ -142,8 +139,7 @@ class GridFastSlam:
         require_measurement(odometry, scan)
         particles = self.particles if particles is None else particles
         is_count = isinstance(particles, int | np.integer)
-        poses = repeat_pose(int(particles), pose) if is_count else _check_particles(particles)
-        poses[:, 2] = wrap(poses[:, 2])
+        poses = repeat_pose(int(particles), pose) if is_count else copy_poses(particles, least=1)
         beams = self._select(scan)
         tracker = self.tracker.init(odometry, scan.stamp_ns, beams, self.mapper)
         maps = self.mapper.empty(len(poses), self.threads)
@@ -241,14 +237,3 @@ class GridFastSlam:
             if not self.when_to_update(math.hypot(dx, dy), abs(turn)):
                 return SkipReason.BETWEEN_KEY_SCANS
         return None if len(beams) else SkipReason.NO_VALID_BEAM
-
-
-def _check_particles(particles: object) -> FloatArray:
-    """Poses (N, 3) that were given as particles, copied."""
-    try:
-        poses = np.array(particles, np.float64)
-    except (TypeError, ValueError):
-        poses = np.empty((0, 3))
-    if poses.ndim != 2 or poses.shape[1] != 3 or not len(poses) or not np.isfinite(poses).all():
-        raise ArgumentError("particles", "a number, or finite poses of shape (N, 3)", describe(particles))
-    return poses

@@ -13,20 +13,20 @@ from numpy.typing import NDArray
 from gridslam import serialization
 from gridslam.arguments import COUNT, Size, index_of
 from gridslam.checked import checked
-from gridslam.errors import ArgumentError, ConsumedStateError
+from gridslam.errors import ArgumentError
 from gridslam.geometry.angles import wrap
 from gridslam.geometry.single_pose import Pose
 from gridslam.grid.tiles import TileMaps
 from gridslam.mapping.occupancy_grid_mapping import OccupancyGridMapping
 from gridslam.particles.ancestry import Ancestry
-from gridslam.particles.resampling import normalize, relative_to_greatest, require_log_weights
+from gridslam.particles.resampling import normalize, require_log_weights
 from gridslam.serialization import NOT_SAVED
 from gridslam.slam.grid_fastslam.smoothed_pose import SmoothedPose
 from gridslam.slam.loop_closure.drift_model import compute_moments
 from gridslam.slam.loop_closure.state import LoopClosureState
 from gridslam.tracking.state import UnmatchedMotion
 from gridslam.tracking.tracker import TrackerState
-from gridslam.types import FloatArray, IntArray, describe_pose
+from gridslam.types import FloatArray, IntArray, OwnedState, describe_pose
 
 STATE_SCHEMA = "gridslam.state/16"
 
@@ -60,7 +60,7 @@ class BeforeStep(NamedTuple):
 
 @final
 @dataclass(slots=True, eq=False)
-class GridFastSlamState:
+class GridFastSlamState(OwnedState):
     """Everything that the filter knows between two scans; arrays in it are replaced, never written to.
 
     Attributes
@@ -118,7 +118,6 @@ class GridFastSlamState:
     tracked_scans: Annotated[int, COUNT] = 0
     closure_state: LoopClosureState | None = None
     best: Annotated[int, index_of("N")] = 0
-    consumed: bool = field(default=False, metadata=NOT_SAVED)
     before_step: BeforeStep = field(default=BeforeStep(), metadata=NOT_SAVED)  # when it was consumed
 
     def __repr__(self) -> str:
@@ -151,9 +150,7 @@ class GridFastSlamState:
 
     def take(self) -> GridFastSlamState:
         """Hand the contents over to a new owner; this one raises ConsumedStateError from now on."""
-        self._check()
-        owner = replace(self)
-        self.consumed = True
+        owner = OwnedState.take(self)
         scans = 0 if self.closure_state is None else len(self.closure_state.scans)
         self.before_step = BeforeStep(self.ancestry.steps, scans, self.tracker.unmatched)
         return owner
@@ -191,7 +188,8 @@ class GridFastSlamState:
     def weigh(self, log_weights: FloatArray) -> None:
         """Weigh the particles by the log likelihoods (N,), in nats, of a scan."""
         self.log_weights = normalize(self.log_weights + log_weights)
-        self.log_ancestry = relative_to_greatest(self.log_ancestry + log_weights)
+        accumulated = self.log_ancestry + log_weights
+        self.log_ancestry = accumulated - accumulated.max()
         if self.log_ancestry[self.best] < -_DECISIVE:
             self.best = int(self.log_ancestry.argmax())
 
@@ -237,7 +235,7 @@ class GridFastSlamState:
 
     def snapshot(self) -> GridFastSlamState:
         """Keep this state for later, at the cost of its tables: maps are copied only where either side writes."""
-        self._check()
+        self.require_owned()
         return replace(
             self,
             tracker=self.tracker.snapshot(),
@@ -258,7 +256,7 @@ class GridFastSlamState:
 
     def to_arrays(self) -> dict[str, NDArray[Any]]:
         """Plain arrays under the schema `STATE_SCHEMA`; `from_arrays` continues with identical results."""
-        self._check()
+        self.require_owned()
         computed = replace(self, _covariance=self.covariance)
         return {"schema": np.array(STATE_SCHEMA), **serialization.to_arrays(computed)}
 
@@ -275,7 +273,3 @@ class GridFastSlamState:
         require_log_weights(state.log_weights)
         state.tracker.maps.threads = 1  # two maps are faster without
         return state
-
-    def _check(self) -> None:
-        if self.consumed:
-            raise ConsumedStateError

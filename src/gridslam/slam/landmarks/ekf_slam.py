@@ -8,13 +8,12 @@ from __future__ import annotations
 
 import math
 from copy import deepcopy
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from typing import final
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from gridslam.errors import ConsumedStateError
 from gridslam.geometry.angles import wrap
 from gridslam.geometry.se2 import lever_arm_jacobian
 from gridslam.models.association import NEW, Association, KnownCorrespondence, LandmarkExistence
@@ -23,7 +22,7 @@ from gridslam.models.systematic_errors import ERRORS, NO_ERRORS, SystematicError
 from gridslam.particles.initial import repeat_pose
 from gridslam.slam.landmarks.report import LandmarkMap, LandmarkReport
 from gridslam.slam.landmarks.small_gaussians import mahalanobis
-from gridslam.types import FloatArray, IntArray, MotionSampler
+from gridslam.types import FloatArray, IntArray, MotionSampler, OwnedState
 
 _ROBOT = 3 + ERRORS
 """Length of the robot's part of the state: its pose and the systematic errors."""
@@ -217,7 +216,7 @@ class EkfSlam:
 
 @final
 @dataclass(slots=True, eq=False)
-class EkfSlamState:
+class EkfSlamState(OwnedState):
     """Everything that the filter knows between two steps; it has one owner, who changes it.
 
     Attributes
@@ -246,7 +245,6 @@ class EkfSlamState:
     evidence: FloatArray
     observations: IntArray
     next_name: int = 0
-    consumed: bool = False
 
     @classmethod
     def at(cls, pose: ArrayLike, errors: FloatArray) -> EkfSlamState:
@@ -310,17 +308,7 @@ class EkfSlamState:
         for name in ("first_positions", "names", "evidence", "observations"):
             setattr(self, name, getattr(self, name)[kept])
 
-    def take(self) -> EkfSlamState:
-        """Hand the contents over to a new owner; this one raises ConsumedStateError from now on."""
-        self._check()
-        self.consumed = True
-        return replace(self, consumed=False)
-
     def snapshot(self) -> EkfSlamState:
         """Return an independent copy for later."""
-        self._check()
+        self.require_owned()
         return deepcopy(self)
-
-    def _check(self) -> None:
-        if self.consumed:
-            raise ConsumedStateError

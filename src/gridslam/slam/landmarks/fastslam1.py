@@ -7,7 +7,6 @@ independent.
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
-from typing import final
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -20,10 +19,9 @@ from gridslam.particles.resampling import Systematic
 from gridslam.slam.landmarks.filters import LandmarkFilters
 from gridslam.slam.landmarks.particles import LandmarkParticles, PoseBelief
 from gridslam.slam.landmarks.report import LandmarkMap, LandmarkReport
-from gridslam.types import MotionSampler, Resampler
+from gridslam.types import IntArray, MotionSampler, Resampler
 
 
-@final
 @dataclass(frozen=True)
 class FastSlam1:
     """The filter: it has no state of its own; `step` takes a state and returns the next one.
@@ -90,6 +88,12 @@ class FastSlam1:
         for k in range(len(observations)):
             self.landmarks.add(state, columns[:, k], sampled, observations, k)  # new landmark: h^-1(z_t, x_t)
         state.advance(sampled, log_weights)
+        return self.finish(state, columns, rng)
+
+    def finish(
+        self, state: LandmarkParticles, columns: IntArray, rng: np.random.Generator
+    ) -> tuple[LandmarkParticles, LandmarkReport]:
+        """End a step: count the landmarks `columns` (N, K) that were observed, report, and resample."""
         self.landmarks.count(state, columns)  # the counters i_j, of landmarks that should have been seen, too
         report = state.report(columns)
         if self.when_to_resample(report.n_eff, len(state)):

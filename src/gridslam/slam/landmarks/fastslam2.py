@@ -7,7 +7,7 @@ for each particle with its own map.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -17,44 +17,24 @@ from gridslam.geometry.angles import wrap
 from gridslam.geometry.se2 import lever_arm_jacobian
 from gridslam.models.association import NEW
 from gridslam.models.landmark import LandmarkObservations
-from gridslam.particles.policies import EffectiveSampleSizeBelow, ResamplingPolicy
-from gridslam.particles.resampling import Systematic
-from gridslam.slam.landmarks.filters import Innovation, LandmarkFilters
+from gridslam.slam.landmarks.fastslam1 import FastSlam1
 from gridslam.slam.landmarks.particles import LandmarkParticles, PoseBelief
-from gridslam.slam.landmarks.report import LandmarkMap, LandmarkReport
+from gridslam.slam.landmarks.report import LandmarkReport
 from gridslam.slam.landmarks.small_gaussians import draw_poses, kalman_update, transform_covariances
-from gridslam.types import MotionSampler, Resampler
-
-
-@dataclass(eq=False)
-class PoseProposal(PoseBelief):
-    """p(x_t | x_t-1, u_t, z_t, c_t): the Gaussian from which the pose of each particle is sampled.
-
-    The means mu_x are the predicted poses, corrected by the observations so far; the covariances Sigma_x those of the
-    motion, R_t, reduced by the observations so far.
-    """
-
-    def correct(self, seen: Innovation) -> None:
-        """Condition on an observation, where it has a landmark.
-
-        Sigma_x = [H_x' Q^-1 H_x + R^-1]^-1 = R - K H_x R and mu_x = x + Sigma_x H_x' Q^-1 (z - h) = x + K (z - h), with
-        the Kalman gain K = R H_x' L^-1, which needs no inverse of R: that may be singular.
-        """
-        kalman_update(self.poses, self.covariances, seen.rows, seen.by_pose, seen.covariances, seen.residuals)
-        self.poses[:, 2] = wrap(self.poses[:, 2])
-
-    def sample(self, rng: np.random.Generator) -> PoseBelief:
-        """x_t ~ N(mu_x, Sigma_x)."""
-        return PoseBelief(draw_poses(self.poses, self.covariances, rng), np.zeros_like(self.covariances))
+from gridslam.types import MotionSampler
 
 
 @dataclass(frozen=True)
-class FastSlam2:
+class FastSlam2(FastSlam1):
     """The filter: it has no state of its own; `step` takes a state and returns the next one.
 
     The pose is sampled from p(x_t | x_t-1, u_t, z_t, c_t), a Gaussian by linearizing the measurement model about the
     mean so far, one observation after the other. The weight is p(z_t | x_t-1, u_t, c_t), in which neither the sampled
     pose nor the landmarks that it then corrects have a part: what the proposal takes into account is not weighed again.
+
+    Each observation conditions the proposal N(mu_x, Sigma_x): Sigma_x = [H_x' Q^-1 H_x + R^-1]^-1 = R - K H_x R and
+    mu_x = x + Sigma_x H_x' Q^-1 (z - h) = x + K (z - h), with the Kalman gain K = R H_x' L^-1, which needs no inverse
+    of R: that may be singular.
 
     Attributes
     ----------
@@ -69,10 +49,6 @@ class FastSlam2:
     p(z_t | x_t-1, u_t, c_t), as in the paper. Without observations no pose is sampled yet, and the Gaussian of the
     motion is carried on. The table resamples at every step.
     """
-
-    landmarks: LandmarkFilters = field(default_factory=LandmarkFilters)
-    resampler: Resampler = Systematic()
-    when_to_resample: ResamplingPolicy = EffectiveSampleSizeBelow()
 
     def init(self, particles: int = 20, pose: ArrayLike = (0.0, 0.0, 0.0)) -> LandmarkParticles:
         """Begin with all particles at one pose (3,), without landmarks."""
@@ -90,6 +66,7 @@ class FastSlam2:
         require_generator(rng)
         state = state.take()
         proposal = self._predict(state, motion)  # predict pose: g(x_t-1, u_t), R_t
+        mu_x, Sigma_x = proposal.poses, proposal.covariances
         log_weights = np.zeros(len(state))
         columns = np.full((len(state), len(observations)), NEW)
         if not len(observations):
@@ -99,27 +76,21 @@ class FastSlam2:
             # predict measurement: h, H_x, H_m, Q_j = H_m Sigma_j H_m' + Q_t, L = H_x R_t H_x' + Q_j; correspondence
             columns[:, k], log_p, seen = self.landmarks.correspond(state, observations, k, proposal, columns, rng)
             log_weights += log_p  # w = N(z; h, L), or p_0 for a new landmark
-            proposal.correct(seen)  # covariance and mean of proposal: Sigma_x, mu_x
-        sampled = proposal.sample(rng)  # sample pose: x_t ~ N(mu_x, Sigma_x)
+            # covariance and mean of proposal: Sigma_x = R - K H_x R, mu_x = x + K (z - h)
+            kalman_update(mu_x, Sigma_x, seen.rows, seen.by_pose, seen.covariances, seen.residuals)
+            mu_x[:, 2] = wrap(mu_x[:, 2])
+        drawn = draw_poses(mu_x, Sigma_x, rng)  # sample pose: x_t ~ N(mu_x, Sigma_x)
+        sampled = PoseBelief(drawn, np.zeros_like(Sigma_x))
         state.advance(sampled, log_weights)
         for k in range(len(observations)):  # update Kalman filters
             rows = np.flatnonzero(columns[:, k] >= 0)  # observed landmark: K = Sigma_j H_m' Q_j^-1
             seen = self.landmarks.innovation(state, rows, columns[rows, k], sampled, observations, k)
             self.landmarks.correct(state, seen)
             self.landmarks.add(state, columns[:, k], sampled, observations, k)  # new landmark: h^-1(z_t, x_t)
-        self.landmarks.count(state, columns)  # the counters i_j, of landmarks that should have been seen, too
-        report = state.report(columns)
-        if self.when_to_resample(report.n_eff, len(state)):
-            drawn = self.resampler(np.exp(state.log_weights), len(state), rng)
-            report = replace(report, parents=state.resample(drawn))
-        return state, report
+        return self.finish(state, columns, rng)
 
-    def landmark_map(self, state: LandmarkParticles) -> LandmarkMap:
-        """Return the confirmed landmarks of the best particle."""
-        return state.landmark_map()
-
-    def _predict(self, state: LandmarkParticles, motion: MotionSampler) -> PoseProposal:
+    def _predict(self, state: LandmarkParticles, motion: MotionSampler) -> PoseBelief:
         """p(x_t | x_t-1, u_t), of a pose x_t-1 that was sampled, or whose Gaussian was carried on."""
         poses, R = motion.moments(state.poses)
         G = lever_arm_jacobian(state.poses, poses)
-        return PoseProposal(poses, R + transform_covariances(G, state.pose_covariances))
+        return PoseBelief(poses, R + transform_covariances(G, state.pose_covariances))

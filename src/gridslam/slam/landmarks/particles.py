@@ -2,20 +2,20 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from copy import deepcopy
+from dataclasses import dataclass
 from typing import final
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from gridslam.errors import ConsumedStateError
 from gridslam.geometry.angles import wrap
 from gridslam.models.association import NEW
 from gridslam.particles.ancestry import Ancestry
 from gridslam.particles.initial import repeat_pose
 from gridslam.particles.resampling import effective_sample_size, normalize
 from gridslam.slam.landmarks.report import LandmarkMap, LandmarkReport
-from gridslam.types import FloatArray, IntArray
+from gridslam.types import FloatArray, IntArray, OwnedState
 
 _MORE = 8  # columns that are added where none is free
 
@@ -37,7 +37,7 @@ class PoseBelief:
 
 @final
 @dataclass(slots=True, eq=False)
-class LandmarkParticles:
+class LandmarkParticles(OwnedState):
     """State of the filter between two steps; owned and modified by the filter.
 
     The landmarks lie in dense arrays, a row for each particle and a column for each landmark. Copying a particle costs
@@ -77,7 +77,6 @@ class LandmarkParticles:
     confirmed: NDArray[np.bool_]
     observations: IntArray
     ancestry: Ancestry
-    consumed: bool = False
 
     @classmethod
     def at(cls, particles: int, pose: ArrayLike) -> LandmarkParticles:
@@ -185,17 +184,10 @@ class LandmarkParticles:
         reported = np.where((columns >= 0) & (names >= 0), names, columns)
         return LandmarkReport(self.poses[best].copy(), covariance, reported, effective_sample_size(self.log_weights))
 
-    def take(self) -> LandmarkParticles:
-        """Hand the contents over to a new owner; this one raises ConsumedStateError from now on."""
-        self._check()
-        self.consumed = True
-        return replace(self, consumed=False)
-
     def snapshot(self) -> LandmarkParticles:
         """Return an independent copy for later."""
-        self._check()
-        arrays = {name: getattr(self, name).copy() for name in _ARRAYS}
-        return LandmarkParticles(**arrays, ancestry=self.ancestry.snapshot())
+        self.require_owned()
+        return deepcopy(self)
 
     def _grow(self) -> None:
         """Add free columns."""
@@ -205,10 +197,6 @@ class LandmarkParticles:
             array = getattr(self, name)
             more = np.full((count, _MORE, *array.shape[2:]), empty, array.dtype)
             setattr(self, name, np.concatenate([array, more], axis=1))
-
-    def _check(self) -> None:
-        if self.consumed:
-            raise ConsumedStateError
 
 
 # What there is of each landmark of each particle, and what stands there where there is none.
@@ -220,4 +208,3 @@ _OF_LANDMARKS = {
     "observations": 0,
 }
 _OF_PARTICLES = "poses", "pose_covariances", "log_ancestry", *_OF_LANDMARKS
-_ARRAYS = *_OF_PARTICLES, "log_weights", "names"

@@ -78,23 +78,16 @@ class DriftModel:
         """
         dx, dy, turned = increment
         position, rotation = self.variances(math.hypot(dx, dy), abs(turned))
-        xx = yy = _POSITION_RATIO**2 * position
-        xy = 0.0
+        position *= _POSITION_RATIO**2
+        left_open = np.zeros((3, 3))
         if unmatched is not None:
-            excess = _REJECTED_MATCH_SIGMAS**2
-            (oxx, oxy), (_, oyy) = unmatched.open_covariance.tolist()
-            if oxx or oyy:
+            if unmatched.open_covariance.any():
                 rotation *= self.open_heading_ratio**2
-                c = math.cos(heading)
-                s = math.sin(heading)
-                xx += c * c * oxx + 2 * c * s * oxy + s * s * oyy
-                xy += c * s * (oyy - oxx) + (c * c - s * s) * oxy
-                yy += s * s * oxx - 2 * c * s * oxy + c * c * oyy
-            xx += excess * unmatched.position_m2
-            yy += excess * unmatched.position_m2
-            rotation += excess * unmatched.heading_rad2
+                left_open = rotate_covariances(np.pad(unmatched.open_covariance, (0, 1)), -heading)
+            position += _REJECTED_MATCH_SIGMAS**2 * unmatched.position_m2
+            rotation += _REJECTED_MATCH_SIGMAS**2 * unmatched.heading_rad2
         rotation += first * _FIRST_SIGMA_RAD**2
-        return np.array([[xx, xy, 0.0], [xy, yy, 0.0], [0.0, 0.0, rotation]])
+        return np.diag([position, position, rotation]) + left_open
 
     def bounds(self, increment: Pose, unmatched: UnmatchedMotion) -> tuple[float, float]:
         """Variances (m^2, rad^2) of an increment for searches."""

@@ -6,6 +6,7 @@ import math
 from bisect import bisect_right
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field, fields
+from itertools import accumulate
 from typing import Annotated, Any, final
 
 import numpy as np
@@ -18,6 +19,7 @@ from gridslam.slam.loop_closure.certain_ways import follow_certain_ways
 from gridslam.slam.loop_closure.constraints import Constraint, ConstraintSource, key_scan_pairs
 from gridslam.slam.loop_closure.drift_model import (
     compute_moments,
+    diagonal_covariances,
     position_variances,
     propagate_covariances,
 )
@@ -314,21 +316,18 @@ class KeyGraph:
 
     def _derive(self) -> None:
         """Extend the values derived from poses and variances to the newest key scan."""
-        for key in range(len(self._sums), len(self)):
-            x, y, theta = self.poses[key].tolist()
-            position, heading = self.variances[key]
-            step = self.tracked[key] - self.tracked[max(key - 1, 0)]
-            self._driven_m.append((self._driven_m[-1] if key else 0.0) + math.hypot(step[0], step[1]))
-            is_gap = position > BLIND_SIGMA_M**2 or heading > BLIND_SIGMA_RAD**2
-            self._gap_counts.append((self._gap_counts[-1] if key else 0) + is_gap)
-            moments = _moments((x, y), position, 0.0, position, heading)
-            self._sums.append(self._sums[-1] + moments if key else moments)
-            (xx, xy, _), (_, yy, _), (_, _, heading) = self.drift_covariances[key].tolist()
-            c = math.cos(theta)
-            s = math.sin(theta)
-            turned = c * c * xx - 2 * c * s * xy + s * s * yy, c * s * (xx - yy) + (c * c - s * s) * xy
-            moments = _moments((x, y), *turned, s * s * xx + 2 * c * s * xy + c * c * yy, heading)
-            self._drifts.append(self._drifts[-1] + moments if key else np.zeros(9))  # the first pose is the origin
+        first = len(self._sums)
+        poses = np.array(self.poses[first:])
+        variances = np.array(self.variances[first:])
+        tracked = np.array(self.tracked[max(first - 1, 0) :])
+        steps = np.diff(tracked, axis=0, prepend=tracked[: int(not first)])
+        is_gap = np.any(variances > np.square([BLIND_SIGMA_M, BLIND_SIGMA_RAD]), axis=1).astype(np.int64)
+        drifts = compute_moments(poses, np.array(self.drift_covariances[first:]))
+        drifts[: int(not first)] = 0.0  # the first pose is the origin
+        _accumulate(self._driven_m, np.hypot(steps[:, 0], steps[:, 1]).tolist())
+        _accumulate(self._gap_counts, [*is_gap])
+        _accumulate(self._sums, [*compute_moments(poses, diagonal_covariances(variances))])
+        _accumulate(self._drifts, [*drifts])
 
     def _use(self, constraints: Sequence[Constraint]) -> None:
         """Let constraints lead from one key scan to another, and shorten the ways from the first key scan.
@@ -369,7 +368,7 @@ def _stack(arrays: Iterable[Any], size: int) -> FloatArray:
     return np.frombuffer(b"".join(arrays)).reshape(-1, size)
 
 
-def _moments(place: tuple[float, float], xx: float, xy: float, yy: float, heading: float) -> FloatArray:
-    """`compute_moments` (9,) of one step, by the covariance of its position, map frame, and the heading's variance."""
-    x, y = place
-    return np.array((xx, xy, yy, heading, heading * x, heading * y, heading * x * x, heading * x * y, heading * y * y))
+def _accumulate(sums: list[Any], added: list[Any]) -> None:
+    """Extend a list of sums by the sum up to each addend."""
+    last = sums[-1:]
+    sums += [*accumulate([*last, *added])][len(last) :]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from copy import copy
 from dataclasses import dataclass
 from itertools import pairwise
 from typing import Annotated, Any, NamedTuple, final
@@ -156,11 +157,9 @@ class ScanArchive:
 
     def snapshot(self) -> ScanArchive:
         """Keep a copy for later; the end points themselves, which never change, are shared."""
-        twin = ScanArchive()
+        twin = copy(self)
         twin.keys = self.keys.copy()
         twin._stored = self._stored.copy()
-        twin._last_stored_pose = self._last_stored_pose
-        twin._between_bytes = self._between_bytes
         return twin
 
     def to_arrays(self) -> dict[str, NDArray[Any]]:

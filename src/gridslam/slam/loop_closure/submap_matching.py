@@ -89,10 +89,6 @@ class Submap:
         """Keypoints and descriptors."""
         return extract_features(self.collect_points())
 
-    def describe(self) -> None:
-        """Extract the features now: they are kept."""
-        _ = self.features
-
     @cached_property
     def radius_m(self) -> float:
         """Distance from the anchor within which everything is."""

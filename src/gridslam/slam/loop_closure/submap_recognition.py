@@ -89,7 +89,7 @@ class SubmapRecognition:
         if search.described < len(pairs.submaps):
             last = min(search.described + _DESCRIBED_AT_A_TIME, len(pairs.submaps))
             for submap in pairs.submaps[search.described : last]:
-                submap.describe()
+                _ = submap.features  # are kept
             search.described = last
             return
         if not search.left and search.compared < len(pairs.submaps):

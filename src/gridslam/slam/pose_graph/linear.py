@@ -82,11 +82,6 @@ def _turned(information: FloatArray, c: FloatArray, s: FloatArray) -> FloatArray
     return turned
 
 
-def is_connected(edges: IntArray, poses: int) -> bool:
-    """Whether `edges` (M, 2) join all poses."""
-    return not find_parts(edges, poses).any()
-
-
 def require_connected(edges: IntArray, poses: int) -> None:
     """Raise ArgumentError, saying in how many parts and who is apart, if `edges` (M, 2) do not join all poses."""
     part = find_parts(edges, poses)

@@ -11,7 +11,7 @@ from scipy.special import chdtri
 
 from gridslam.parameters import bounded, parameters
 from gridslam.slam.pose_graph.descent import Computation, DescentResult, descend, squared_mahalanobis
-from gridslam.slam.pose_graph.linear import BlockSystem, initial_guess, is_connected
+from gridslam.slam.pose_graph.linear import BlockSystem, find_parts, initial_guess
 from gridslam.slam.pose_graph.pose_graph import PoseGraph
 from gridslam.types import FloatArray
 
@@ -232,6 +232,6 @@ class _Search:
 def scale_information(graph: PoseGraph, weights: FloatArray) -> PoseGraph:
     """Return the graph with information times weights (M,), without edges of weight 0 if it stays connected."""
     counts = weights > 0.0
-    if not is_connected(graph.edges[counts], len(graph.poses)):
+    if find_parts(graph.edges[counts], len(graph.poses)).any():
         counts, weights = np.ones(len(weights), np.bool_), np.maximum(weights, _LEAST_WEIGHT)
     return replace(graph, information=graph.information * weights[:, None, None]).select(counts)
