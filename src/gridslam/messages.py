@@ -68,16 +68,10 @@ class Messages:
         self._lock = threading.Lock()
         self._problem: _Message | None = None
 
-    def report(self, level: Level, text: str) -> None:
-        """Keep a message, and log it each time that it comes."""
+    def report(self, level: Level, text: str, *, is_state: bool = False) -> None:
+        """Keep a message, and log it each time that it comes; a state of the run lasts until the next one."""
         with self._lock:
-            self._keep(level, text, self._clock())
-        self._log(level, text)
-
-    def report_state(self, level: Level, text: str) -> None:
-        """Store and log the state of the run, which lasts until the next one."""
-        with self._lock:
-            self._keep(level, text, self._clock()).is_state = True
+            self._keep(level, text, self._clock()).is_state |= is_state
         self._log(level, text)
 
     def __call__(self, kind: str, problem: str) -> None:

@@ -7,14 +7,13 @@ import socket
 import subprocess
 import sys
 import threading
-from contextlib import contextmanager
 
 import pytest
 from websockets.exceptions import ConnectionClosed
 from websockets.sync.client import connect
 
-from gridslam.cli import live as live_module
 from gridslam.cli.main import main
+from gridslam.live.page import LivePage
 from support.page_client import PageClient
 from support.ports import free_port
 
@@ -64,17 +63,16 @@ def test_a_viewer_sees_the_run_to_its_end(call, log, tmp_path, monkeypatch):
 
 def run_viewed(call, monkeypatch, client, *command):
     """Run a command that ends with -o OUT with a viewer, for whom it stays until the end is seen."""
-    port, serve_page = free_port(), live_module.serve_page
+    port, enter = free_port(), LivePage.__enter__
     viewer = threading.Thread(target=look, args=(f"http://127.0.0.1:{port}/", client, command[-1]))
 
-    @contextmanager
     def seen(page):
-        with serve_page(page) as entered:
-            viewer.start()
-            assert page.wait_for_viewer(10)
-            yield entered
+        entered = enter(page)
+        viewer.start()
+        assert page.wait_for_viewer(10)
+        return entered
 
-    monkeypatch.setattr(live_module, "serve_page", seen)
+    monkeypatch.setattr(LivePage, "__enter__", seen)
     done = call(*command, "--live", "--live-port", port)
     viewer.join(10)
     return done
@@ -95,8 +93,6 @@ def test_a_taken_port_is_bad_usage_and_nothing_is_written(call, log, tmp_path):
         (["--live-port", "0"], "--live-port needs --live"),
         (["--live-host", "0.0.0.0"], "--live-host needs --live"),
         (["--open"], "--open needs --live"),
-        (["--wait", "3"], "--wait needs --live"),
-        (["--live", "--wait", "-3"], "--wait: expected a time >= 0 s"),
         (["--live", "--live-speed", "0"], "--live-speed: expected a number > 0"),
         (["--live", "--live-port", "70000"], "--live-port: expected a number from 0 to 65535"),
     ],

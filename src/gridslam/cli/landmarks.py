@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 from typing import Any, Literal
 
@@ -31,57 +33,31 @@ def landmarks_to_folder(
     as_json: bool = False,
 ) -> None:
     """Estimate the landmarks of a log, or the robot's way in a map of them, write the results and print a summary."""
+    run: Callable[..., ResultByLandmarks]
     if method == "ekf-localization":
         if particles is not None:
             raise click.ClickException(f"--particles: expected none for {method}, got {particles}")
-        _localize_to_folder(log, out, landmarks, initial_pose, unknown, as_json)
-        return
-    if landmarks is not None or initial_pose is not None:
-        raise click.ClickException("--landmarks and --initial-pose: only valid with --method ekf-localization")
-    if method == "graph" and unknown:
-        raise click.ClickException("--unknown: GraphSLAM requires known correspondences")
+        run = partial(localize_by_landmarks, landmarks=landmarks, pose=initial_pose)
+        summarize = _summarize_localization
+    else:
+        if landmarks is not None or initial_pose is not None:
+            raise click.ClickException("--landmarks and --initial-pose: only valid with --method ekf-localization")
+        if method == "graph" and unknown:
+            raise click.ClickException("--unknown: GraphSLAM requires known correspondences")
+        run = partial(map_landmarks, method=method, particles=particles, seed=seed)
+        summarize = _summarize_map
     watch = Stopwatch(STARTED_S, 0.0)
     source = open_landmark_log(log)
     with (
         open_output(out, ResultByLandmarks.all_names()) as folder,
-        name_option(particles="--particles"),
+        name_option(particles="--particles", pose="--initial-pose"),
         open_progress(shown=not as_json) as on_progress,
     ):
-        result = map_landmarks(
-            source,
-            method,
-            unknown=unknown,
-            particles=particles,
-            seed=seed,
-            on_progress=on_progress,
-            stopwatch=watch,
-        )
+        result = run(source, unknown=unknown, on_progress=on_progress, stopwatch=watch)
         if not source.statistics.observations:
             raise InputError(log, "expected landmark observations, got none")
         document = result.write(folder)
-    print_result(document, _summarize_map(document, out), as_json)
-
-
-def _localize_to_folder(
-    log: Path,
-    out: Path,
-    landmarks: Path | None,
-    initial_pose: tuple[float, float, float] | None,
-    unknown: bool,
-    as_json: bool,
-) -> None:
-    watch = Stopwatch(STARTED_S, 0.0)
-    source = open_landmark_log(log)
-    with (
-        open_output(out, ResultByLandmarks.all_names()) as folder,
-        name_option(pose="--initial-pose"),
-        open_progress(shown=not as_json) as on_progress,
-    ):
-        result = localize_by_landmarks(
-            source, landmarks, pose=initial_pose, unknown=unknown, on_progress=on_progress, stopwatch=watch
-        )
-        document = result.write(folder)
-    print_result(document, _summarize_localization(document, out), as_json)
+    print_result(document, summarize(document, out), as_json)
 
 
 def _summarize_map(document: dict[str, Any], out: Path) -> list[str]:

@@ -3,16 +3,16 @@
 from __future__ import annotations
 
 import threading
-from collections.abc import Callable, Iterable, Iterator
-from contextlib import AbstractContextManager, ExitStack, contextmanager
+from collections.abc import Iterator
+from contextlib import contextmanager
+from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple, TypeVar
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import click
 import numpy as np
 
 from gridslam.cli.output import warn
-from gridslam.errors import OutputError
 from gridslam.live.options import LiveOptions
 from gridslam.messages import Level, Messages
 from gridslam.pipeline import describe_error, isolate
@@ -20,40 +20,33 @@ from gridslam.pipeline import describe_error, isolate
 if TYPE_CHECKING:
     from gridslam.api.mapping import MapResult
     from gridslam.io.log import Log
-    from gridslam.io.measurement import Measurement
     from gridslam.io.output import OutputFolder
-    from gridslam.live.history_recorder import HistoryRecorder
     from gridslam.live.page import LivePage
-    from gridslam.pipeline import Observer, Stopwatch
+    from gridslam.live.recorder import RunRecorder
+    from gridslam.pipeline import Stopwatch
     from gridslam.ros import NodeCore
     from gridslam.ros.node.messages import Diagnostics
     from gridslam.types import OccupancyGrid
-
-_Page = TypeVar("_Page")
 
 
 class Viewers(NamedTuple):
     """Page and history of a run, None where not wanted, and its messages."""
 
     page: LivePage | None
-    history: HistoryRecorder | None
+    history: RunRecorder | None
     messages: Messages
 
     def watch(self, source: Log, watch: Stopwatch) -> dict[str, Any]:
         """Return the arguments `observers` and `gate` of a run on a log: the page controls when scans are processed."""
         page, history = self.page, self.history
-        observers: list[Observer] = []
         if page is not None:
-            page.set_progress(lambda: source.statistics.share_read)
-            observers.append(isolate(page.observer, _warn_once("the page")))
+            page.observer.progress = lambda: source.statistics.share_read
+            observers = [isolate(page.observer, partial(self.messages, "the page failed"))]
+            return {"observers": observers, "gate": partial(page.pace, stopwatch=watch)}
         if history is not None:
-            observers.append(isolate(history, _warn_once("the history")))
-
-        def gate(measurements: Iterable[Measurement]) -> Iterator[Measurement]:
-            paced = iter(measurements) if page is None else page.pace(measurements, watch)
-            return paced if history is None else history.follow(paced)
-
-        return {"observers": observers, "gate": gate}
+            observers = [isolate(history, partial(self.messages, "the history failed"))]
+            return {"observers": observers, "gate": history.follow}
+        return {"observers": [], "gate": iter}
 
     def write_history(self, folder: OutputFolder) -> None:
         """Write the history of the run, if there is one."""
@@ -64,7 +57,7 @@ class Viewers(NamedTuple):
 
     def wait(self, timeout_s: float) -> None:
         """Wait this long for a viewer of the page; without one run at full speed."""
-        if self.page is not None and timeout_s > 0:
+        if self.page is not None:
             warn(f"open the page to begin; without it the run begins in {timeout_s:.0f} s")
             if not self.page.wait_for_viewer(timeout_s):
                 self.page.observer.speed = None
@@ -89,19 +82,6 @@ class Viewers(NamedTuple):
 NOBODY = Viewers(None, None, Messages(lambda level, text: warn(text)))
 
 
-def _warn_once(viewer: str) -> Callable[[str], None]:
-    """Return a function that reports the first exception of a viewer."""
-    is_reported = False
-
-    def report(problem: str) -> None:
-        nonlocal is_reported
-        if not is_reported:
-            warn(f"{viewer} failed: {problem}")
-        is_reported = True
-
-    return report
-
-
 @contextmanager
 def open_viewers(
     live: LiveOptions | None,
@@ -110,26 +90,23 @@ def open_viewers(
     known: OccupancyGrid | None = None,
     *,
     out: Path | None = None,
-    is_localization: bool = False,
     has_history: bool = True,
 ) -> Iterator[Viewers]:
     """Yield the viewers; the page stays open while it is viewed, and replays the results in `out`.
 
     The known map is needed where a localization is looked at.
     """
-    from gridslam.live.history_recorder import HistoryRecorder
-
     messages = Messages(lambda level, text: warn(text))
-    history = HistoryRecorder(range_max_m, is_localization=is_localization) if has_history else None
     if live is None:
-        yield Viewers(None, history, messages)
+        from gridslam.live.recorder import RunRecorder
+
+        yield Viewers(None, RunRecorder(range_max_m) if has_history else None, messages)
         return
     from gridslam.live.page import LivePage
 
-    with serve_page(LivePage(title, live, range_max_m=range_max_m, known=known)) as page:
-        viewers = Viewers(page, history, messages)
+    with LivePage(title, live, range_max_m=range_max_m, known=known, keeps_moments=has_history) as page:
+        viewers = Viewers(page, page.observer.recorder if has_history else None, messages)
         announce(page.url, live)
-        viewers.wait(live.wait_s or 0.0)
         yield viewers
         if page.viewers:
             warn("the page stays open while it is looked at; Ctrl-C ends it")
@@ -140,23 +117,12 @@ def open_viewers(
 
 
 @contextmanager
-def serve_page(page: AbstractContextManager[_Page]) -> Iterator[_Page]:
-    """Enter a page; a port that is taken is bad usage."""
-    with ExitStack() as stack:
-        try:
-            entered = stack.enter_context(page)
-        except OutputError as error:
-            raise click.ClickException(str(error)) from None
-        yield entered
-
-
-@contextmanager
 def node_page(live: LiveOptions, title: str, core: NodeCore, known: OccupancyGrid | None) -> Iterator[None]:
     """Serve the page of a node that is not started yet, until it has ended."""
     from gridslam.live.page import LivePage
 
     page = LivePage(title, live, range_max_m=core.configuration.range_max_m, known=known)
-    with serve_page(page):
+    with page:
 
         def on_diagnostics(diagnostics: Diagnostics) -> None:
             page.show_state(diagnostics.state, diagnostics.values["state"])
@@ -188,7 +154,7 @@ def view(out: Path, live: LiveOptions) -> None:
     from gridslam.live.server import PageServer
 
     replay = Replay(out, live.speed or 10.0)
-    with serve_page(PageServer(replay, live)) as page:
+    with PageServer(replay, live) as page:
         for message in replay.found.messages[: replay.found.grid is None]:
             warn(f"{out}: {message['text']}")
         click.echo(f"{out}: open {page.url} (Ctrl-C ends)")

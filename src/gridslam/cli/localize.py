@@ -65,7 +65,6 @@ def localize_to_folder(
         read.configuration.range_max_m,
         known,
         out=out,
-        is_localization=True,
         has_history=out is not None and not no_history,
     ) as viewers:
         with (

@@ -81,14 +81,10 @@ _LIVE_NAMES = {
     "live_host": "--live-host",
     "live_opens": "--open",
     "live_speed": "--live-speed",
-    "live_wait_s": "--wait",
 }
 _OPEN_OPTION = click.option("--open", "live_opens", is_flag=True, help="Open the page in the default browser.")
 _SPEED_OPTION = click.option(
     "--live-speed", type=Number(), metavar="FACTOR", help="Maximum speed, a factor on real time."
-)
-_WAIT_OPTION = click.option(
-    "--wait", "live_wait_s", type=SECONDS, metavar="S", help="Wait up to S seconds for a viewer."
 )
 
 
@@ -145,12 +141,12 @@ def _make_log_options(**given: Any) -> LogOptions:  # noqa: ANN401
 
 def live_options(command: _Command) -> _Command:
     """Add --live and the options of its page to a command, which gets them as ``live``: LiveOptions, or None."""
-    options = (_LIVE_OPTION, *_HOST_OPTIONS, _OPEN_OPTION, _SPEED_OPTION, _WAIT_OPTION)
+    options = (_LIVE_OPTION, *_HOST_OPTIONS, _OPEN_OPTION, _SPEED_OPTION)
     return _gather(command, options, "live", ("live", *_LIVE_NAMES), _make_live_options)
 
 
 def robot_live_options(command: _Command) -> _Command:
-    """Add the options of `live_options` without speed and waiting, as no robot waits."""
+    """Add the options of `live_options` without the speed, as no robot waits."""
     options = (_LIVE_OPTION, *_HOST_OPTIONS, _OPEN_OPTION)
     return _gather(command, options, "live", ("live", *_LIVE_NAMES), _make_live_options)
 
@@ -170,7 +166,7 @@ def _make_live_options(*, live: bool = True, **given: Any) -> LiveOptions | None
             raise click.UsageError(f"{_LIVE_NAMES[name]} needs --live")
         return None
     fields = {name.removeprefix("live_"): value for name, value in chosen.items()}
-    with name_option(port="--live-port", host="--live-host", speed="--live-speed", wait_s="--wait"):
+    with name_option(port="--live-port", host="--live-host", speed="--live-speed"):
         return LiveOptions(**fields)
 
 

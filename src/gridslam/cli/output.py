@@ -30,7 +30,6 @@ _LINE_EVERY_S = 5.0
 _SIGNALS = "SIGINT", "SIGTERM", "SIGHUP"
 
 _interrupted = False
-_held = False
 
 
 @contextmanager
@@ -40,8 +39,7 @@ def open_output(path: Path, names: Sequence[str] = ()) -> Iterator[OutputFolder]
 
     with ExitStack() as stack:
         try:
-            with _hold_interrupts():  # until the temporary folder is certain to be removed
-                out = stack.enter_context(OutputFolder(path, names))
+            out = stack.enter_context(OutputFolder(path, names))
         except OutputError as error:
             raise click.ClickException(str(error)) from None
         yield out
@@ -109,20 +107,7 @@ def _interrupt(number: int, frame: FrameType | None) -> None:
     global _interrupted
     if not _interrupted:
         _interrupted = True
-        if not _held:
-            raise _Interrupted
-
-
-@contextmanager
-def _hold_interrupts() -> Iterator[None]:
-    """Let an interrupt wait until the context ends."""
-    global _held
-    _held = True
-    try:
-        yield
-    finally:
-        _held = False
-    stop_if_interrupted()
+        raise _Interrupted
 
 
 def is_interrupted() -> bool:

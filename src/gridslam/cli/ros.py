@@ -45,9 +45,7 @@ def make_viewer_opener(title: str, live: LiveOptions | None) -> ViewerOpener:
     @contextmanager
     def open_viewers(core: NodeCore) -> Iterator[None]:
         configuration = core.configuration
-        known = None
-        if isinstance(configuration, Localization) and configuration.known is not None:
-            known = configuration.known.grid
+        known = configuration.known.grid if isinstance(configuration, Localization) else None
         with nullcontext() if live is None else node_page(live, title, core, known):
             yield
 

@@ -122,15 +122,14 @@ def demo(out: Path, seed: int, live: LiveOptions | None, no_history: bool, as_js
     watch = Stopwatch(STARTED_S, 0.0)
     rng = np.random.default_rng(seed)
     configuration = Configuration()
-    slowed = None if live is None else replace(live, speed=live.speed or _DEMO_SPEED, wait_s=None)
-    wait_s = _DEMO_WAIT_S if live is None or live.wait_s is None else live.wait_s
+    slowed = None if live is None else replace(live, speed=live.speed or _DEMO_SPEED)
     with open_viewers(slowed, "demo", configuration.range_max_m, out=out, has_history=not no_history) as viewers:
         with open_output(out, MapResult.all_names()) as folder:
             simulated = simulate(make_world("demo", rng), RobotConfig(), OdometryNoise(), LidarConfig(), rng)
             write_carmen(folder.file(_DEMO_LOG), simulated.measurements)
             write_tum(folder.file("truth.tum"), simulated.truth)
             watch.lap("simulate")
-            viewers.wait(wait_s)
+            viewers.wait(_DEMO_WAIT_S)
             watch.resume()
             log = CarmenLog(folder.file(_DEMO_LOG))
             result = map_with_progress(

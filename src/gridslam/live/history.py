@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import math
 import zlib
+from array import array
 from bisect import bisect_right
-from collections.abc import Sequence
 from typing import TYPE_CHECKING, Annotated, Any, NamedTuple, final
 
 import numpy as np
@@ -97,37 +97,6 @@ def compress_tiles(tiles: NDArray[np.uint8]) -> NDArray[np.uint8]:
 
 
 @final
-class RowBuffer:
-    """Append-only rows of numbers; rows already returned never change.
-
-    Parameters
-    ----------
-    width : int
-        Numbers per row.
-    """
-
-    __slots__ = ("_count", "_rows")
-
-    def __init__(self, width: int) -> None:
-        """Start without rows."""
-        self._rows: Float32Array = np.zeros((256, width), np.float32)
-        self._count = 0
-
-    def append(self, rows: FloatArray) -> None:
-        """Add rows (K, width)."""
-        end = self._count + len(rows)
-        if end > len(self._rows):
-            self._rows = np.concatenate([self._rows, np.zeros((end, self._rows.shape[1]), np.float32)])
-        self._rows[self._count : end] = rows
-        self._count = end
-
-    @property
-    def rows(self) -> Float32Array:
-        """All rows so far."""
-        return self._rows[: self._count]
-
-
-@final
 class History:
     """The past of a run; written by one thread, read by others.
 
@@ -149,6 +118,8 @@ class History:
         Key scans between two moments.
     stamps_ns, scans : list of int
         Stamp of each key scan, and number of scans by then.
+    figures : array of float
+        Rows of `series`, one after the other.
     closures : (C, 2) int64
         Key scans of the loop closures so far: the older and the later one.
     recognized : int
@@ -163,25 +134,22 @@ class History:
         self.scans: list[int] = []
         self.closures: IntArray = np.zeros((0, 2), np.int64)
         self.recognized = 0
-        self._series = RowBuffer(5)
+        self.figures = array("f")
         self._half = most // 2
 
     @property
     def series(self) -> Float32Array:
         """The figures (S, 5) of each key scan, as in a scene."""
-        return self._series.rows
-
-    def note_key_scan(self, stamp_ns: int, scans: int, figures: Sequence[float] | FloatArray) -> None:
-        """Note the next key scan; the first of the figures, its time, is set here."""
-        self.stamps_ns.append(stamp_ns)
-        self.scans.append(scans)
-        self._series.append(np.array([[1e-9 * (stamp_ns - self.stamps_ns[0]), *figures[1:]]]))
+        return np.frombuffer(self.figures.tobytes(), np.float32).reshape(-1, 5)
 
     def note_report(self, report: StepReport | LocalizationReport, scans: int, seconds: float) -> None:
         """Note a key scan by its report, the number of scans by then, and the time that it took, s."""
+        self.stamps_ns.append(report.stamp_ns)
+        self.scans.append(scans)
+        time_s = 1e-9 * (report.stamp_ns - self.stamps_ns[0])
         flags = LOST * report.lost | CORRECTED * (isinstance(report, StepReport) and report.corrected)
         count = 0 if report.poses is None else len(report.poses)
-        self.note_key_scan(report.stamp_ns, scans, (0.0, report.n_eff, 1e3 * seconds, flags, count))
+        self.figures.extend((time_s, report.n_eff, 1e3 * seconds, flags, count))
 
     def describe(self, at: int) -> dict[str, Any]:
         """Return the values of a key scan, counted from 0, for the page."""
@@ -196,10 +164,10 @@ class History:
             "closures": int((self.closures[:, 1] <= at).sum()),
         }
 
-    @property
-    def shown_closures(self) -> IntArray:
-        """Key scans (C, 2) of the loop closures that are drawn."""
-        return select_shown_closures(self.closures[: self.recognized], self.closures[self.recognized :])
+    def make_frame(self, path: Float32Array, particles: Float32Array = NO_CLOUD) -> Frame:
+        """Return a path (T, 2) and particles (N, 4) with the loop closures between key scans of this path."""
+        pairs = select_shown_closures(self.closures[: self.recognized], self.closures[self.recognized :])
+        return Frame(path, particles, path[pairs[pairs[:, 1] < len(path)]].reshape(-1, 4))
 
     def is_due(self, keys: int) -> bool:
         """Return whether the key scan of this number, from 1, is to be a moment."""
@@ -262,9 +230,7 @@ class PastReader:
         self.replica.replace(self._tiles)
         moment = history.moments[index]
         path = history.path(index)
-        pairs = history.shown_closures
-        ends = path[pairs[pairs[:, 1] < len(path)]].reshape(-1, 4)
-        return moment, Frame(path, moment.particles, ends)
+        return moment, history.make_frame(path, moment.particles)
 
 
 def round_scan(ends: FloatArray | Float32Array) -> NDArray[np.int16]:

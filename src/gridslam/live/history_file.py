@@ -59,14 +59,16 @@ def read_history(path: str | Path) -> History:
         history.moments = moments
         history.closures = saved.closures
         history.recognized = saved.recognized
-        for stamp_ns, scans, row in zip(saved.stamps_ns.tolist(), saved.scans.tolist(), saved.series, strict=True):
-            history.note_key_scan(stamp_ns, scans, row)
+        history.stamps_ns = saved.stamps_ns.tolist()
+        history.scans = saved.scans.tolist()
+        history.figures.frombytes(saved.series.tobytes())
     return history
 
 
 def _check(saved: _Saved) -> None:
     """Raise ArgumentError or ValueError where moments do not follow one another, or their tiles cannot be unpacked."""
-    if not ((saved.series[:, 2:] >= 0) & (saved.series[:, 2:] < _MOST)).all():
+    figures = saved.series[:, 2:]
+    if not (np.isfinite(saved.series[:, 0]).all() and ((figures >= 0) & (figures < _MOST)).all()):
         raise ArgumentError("series", f"figures from 0 to {_MOST:g}", "others")
     if (np.diff(saved.closures) < 0).any() or (saved.closures < 0).any():
         raise ArgumentError("closures", "pairs of key scans, the older one first", "others")

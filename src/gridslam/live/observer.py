@@ -1,76 +1,41 @@
-"""The filter's side: a pipeline observer that takes snapshots at a bounded rate."""
+"""The filter's side: a pipeline observer that shows the run at a bounded rate."""
 
 from __future__ import annotations
 
 import math
 import time
+from collections import deque
 from collections.abc import Callable, Iterable, Iterator
-from dataclasses import dataclass
 from typing import Any, TypeVar, final
 
-from gridslam.live.history import History
-from gridslam.live.monitor import FilterMonitor, StateView
-from gridslam.localization import LocalizationReport
+from gridslam.live.recorder import RunRecorder
+from gridslam.live.scene import Scene, finite_or_none
 from gridslam.pipeline import Stopwatch
-from gridslam.types import LaserScan, Odometry, StepReport
+from gridslam.slam.grid_fastslam.state import GridFastSlamState
+from gridslam.types import LaserScan, Odometry
 
 VIEWED_PERIOD_S = 0.1
-"""Time between snapshots with viewers, s."""
+"""Time between two scenes with viewers, s."""
 UNVIEWED_PERIOD_S = 1.0
-"""Time between snapshots without viewers, s."""
+"""Time between two scenes without viewers, s."""
 
+_RATE_SCENES = 12
 _Measured = TypeVar("_Measured", bound="tuple[Odometry | None, LaserScan]")
 _MAX_WAIT_S = 0.25  # longer waits are split, so that signals are processed and the page stays fresh
 _MAX_BEHIND_S = 1.0  # of a filter that is slower than the speed, which is not made up for
-_FINAL_SNAPSHOT_S = 1.0  # to wait for the previous snapshot after the last scan, so that the page shows the end
-
-
-@final
-@dataclass(frozen=True, slots=True, eq=False)
-class Snapshot:
-    """State of a run after one scan; its arrays are never modified.
-
-    Attributes
-    ----------
-    report : StepReport or LocalizationReport
-        Report on that scan.
-    view : StateView
-        View of the filter's state after it.
-    scan : LaserScan or None
-        The scan, if it passed through `LiveObserver.pace`.
-    scans, keys : int
-        Number of scans and key scans.
-    history : History
-        The key scans until then, at least.
-    progress : float
-        Ratio of the log that is read, in [0, 1]; NaN if unknown.
-    taken_s : float
-        `time.perf_counter()` of the snapshot.
-    """
-
-    report: StepReport | LocalizationReport
-    view: StateView
-    scan: LaserScan | None
-    scans: int
-    keys: int
-    history: History
-    progress: float
-    taken_s: float
 
 
 @final
 class LiveObserver:
-    """Takes snapshots at a bounded rate and posts them; never waits for the receiver.
-
-    A snapshot is taken only after the previous one is released (`release`), so a slow receiver gets fewer snapshots,
-    each with all changes since the previous one.
+    """Records a run, and shows it as it is at a bounded rate.
 
     Parameters
     ----------
-    post : callable
-        Called with each snapshot in the filter's thread; must not block.
-    monitor : FilterMonitor
-        Monitor of the filter.
+    show : callable
+        Called with each scene in the filter's thread; its `run_info` has only what was not known before the first scan,
+        its replica is empty for a known map. Must not block.
+    recorder : RunRecorder
+        Records the run.
     speed : float or None, > 0
         Maximum factor on real time of the scans that pass through `pace`; None: as fast as possible.
 
@@ -78,47 +43,46 @@ class LiveObserver:
     ----------
     speed : float or None
         As given; may be changed.
+    recorder : RunRecorder
+        As given; called with each scan.
     period_s : float, s
-        Least time between two snapshots; set by the server's thread.
+        Least time between two scenes; set by the server's thread.
     progress : callable
         Returns how much of the source is read, in [0, 1]; NaN where that is unknown.
     """
 
-    def __init__(self, post: Callable[[Snapshot], None], monitor: FilterMonitor, speed: float | None = None) -> None:
+    def __init__(self, show: Callable[[Scene], None], recorder: RunRecorder, speed: float | None = None) -> None:
         """Start before the first scan."""
         self.speed = speed
         self.period_s = UNVIEWED_PERIOD_S
         self.progress: Callable[[], float] = lambda: math.nan
-        self._post = post
-        self._monitor = monitor
+        self._show = show
+        self.recorder = recorder
         self._due = 0.0
-        self._busy = False
-        self.reset()
+        self._reset()
 
-    def reset(self) -> None:
+    def _reset(self) -> None:
         """Start before the first scan of a new session."""
-        self._history = History()
-        self._scans = 0
-        self._is_new = False
-        self._scan: LaserScan | None = None
-        self._latest: tuple[Any, Any] | None = None  # report and state
+        self._rate_window: deque[tuple[float, int, float]] = deque(maxlen=_RATE_SCENES)
+        self._latest: tuple[Any, Any] | None = None  # report and state that are not shown yet
         self._anchor: tuple[float, int] | None = None  # a time and the corresponding stamp
-        self._monitor.reset()
 
     def pace(self, source: Iterable[_Measured], stopwatch: Stopwatch | None = None) -> Iterator[_Measured]:
-        """Yield measurements at the given speed at most; the stopwatch does not count the waiting time."""
-        watch = stopwatch or Stopwatch()
+        """Start a new session, and yield its measurements at the given speed at most.
+
+        The stopwatch does not count the waiting time.
+        """
+        self._reset()
+        return self.recorder.follow(self._delay(source, stopwatch or Stopwatch()))
+
+    def _delay(self, source: Iterable[_Measured], watch: Stopwatch) -> Iterator[_Measured]:
         for measurement in source:
             watch.lap("read")
             if self.speed is not None:
                 self._wait(measurement[1].stamp_ns, self.speed)
                 watch.resume()
-            self._scan = measurement[1]
             yield measurement
-        deadline = time.perf_counter() + _FINAL_SNAPSHOT_S
-        while self._busy and time.perf_counter() < deadline:
-            time.sleep(0.001)
-        self._take_snapshot(time.perf_counter())
+        self.show_pending()
 
     def _wait(self, stamp_ns: int, speed: float) -> None:
         """Wait until the scan of this stamp is due."""
@@ -129,36 +93,54 @@ class LiveObserver:
             self._anchor = now, stamp_ns
             return
         while (left := due - time.perf_counter()) > 0:
-            self.take_pending_snapshot()
+            self.show_pending()
             time.sleep(min(left, _MAX_WAIT_S))
 
     def __call__(self, report: Any, state: Any, seconds: float) -> None:  # noqa: ANN401
-        """Record one scan, and take a snapshot if it is due."""
-        self._scans += 1
+        """Record one scan, and show the run if it is due."""
+        self.recorder(report, state, seconds)
         self._latest = (report, state)
-        self._is_new = True
-        self._monitor.record(report)
-        if report.skipped is None:
-            self._history.note_report(report, self._scans, seconds)
-        if not self._busy and (now := time.perf_counter()) >= self._due:
-            self._take_snapshot(now)
+        if time.perf_counter() >= self._due:
+            self.show_pending()
 
-    def take_pending_snapshot(self) -> None:
-        """Take a snapshot of pending changes while no scan arrives; call from the filter's thread."""
-        if not self._busy and self._is_new:
-            self._take_snapshot(time.perf_counter())
-
-    def release(self) -> None:
-        """Permit the next snapshot, after the last one was applied; thread-safe."""
-        self._busy = False
-
-    def _take_snapshot(self, now: float) -> None:
-        if self._latest is None or self._busy:
+    def show_pending(self) -> None:
+        """Show the run after the last scan, unless that is shown; call from the filter's thread."""
+        if self._latest is None:
             return
+        now = time.perf_counter()
         self._due = max(self._due + self.period_s, now)
-        self._busy = True
-        self._is_new = False
         report, state = self._latest
-        view = self._monitor.view(report, state)
-        keys = len(self._history.stamps_ns)
-        self._post(Snapshot(report, view, self._scan, self._scans, keys, self._history, self.progress(), now))
+        self._latest = None
+        recorder = self.recorder
+        frame = recorder.view(report, state)
+        status = self._describe(report, now)
+        run_info = {}
+        if isinstance(state, GridFastSlamState):
+            run_info["resolution_m"] = state.maps.resolution_m
+            closures = len(recorder.history.closures)
+            status |= {"particles": len(state.poses), "closures": closures}
+            status |= {"best": state.best, "bytes": state.maps.nbytes}
+        else:
+            names = "particles", "looking", "lost_probability", "inlier_ratio"
+            status |= {name: getattr(report, name) for name in names}
+        series = recorder.history.series
+        self._show(Scene(run_info, status, recorder.replica, frame, series, recorder.scan_ends()))
+
+    def _describe(self, report: Any, now: float) -> dict[str, Any]:  # noqa: ANN401
+        """Return the values for the page that filters of both kinds have."""
+        history, scans = self.recorder.history, self.recorder.scans
+        keys = len(history.stamps_ns)
+        stamp_s = report.stamp_ns * 1e-9
+        self._rate_window.append((now, scans, stamp_s))
+        wall_s, passed, log_s = (b - a for a, b in zip(self._rate_window[0], self._rate_window[-1], strict=True))
+        return {
+            "scans": scans,
+            "keys": keys,
+            "time_s": stamp_s - 1e-9 * history.stamps_ns[0] if keys else 0.0,
+            "pose": report.pose.tolist(),
+            "covariance": report.covariance.tolist(),
+            "lost": bool(report.lost),
+            "n_eff": finite_or_none(float(history.series[-1, 1])) if keys else None,
+            "progress": finite_or_none(self.progress()),
+            "real_time_factor": log_s / wall_s if wall_s > 0 and passed else None,
+        }

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import ipaddress
-import math
 from dataclasses import dataclass
 from typing import final
 
@@ -25,8 +24,6 @@ class LiveOptions:
         Factor on real time; None: as fast as possible.
     opens : bool
         Whether the page is opened in the default browser.
-    wait_s : float or None, s
-        How long to wait for a viewer before the run begins; None: as the command does by default.
 
     Raises
     ------
@@ -38,7 +35,6 @@ class LiveOptions:
     port: int = 8642
     speed: float | None = None
     opens: bool = False
-    wait_s: float | None = None
 
     def __post_init__(self) -> None:
         """Check the numbers."""
@@ -46,8 +42,6 @@ class LiveOptions:
             raise ArgumentError("port", "a number from 0 to 65535", self.port)
         if self.speed is not None and not self.speed > 0:
             raise ArgumentError("speed", "a number > 0", self.speed)
-        if self.wait_s is not None and not 0 <= self.wait_s < math.inf:
-            raise ArgumentError("wait_s", "a time >= 0 s", self.wait_s)
 
     @property
     def is_local(self) -> bool:

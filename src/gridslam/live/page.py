@@ -4,15 +4,15 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from pathlib import Path
 from typing import Any, TypeVar, final
 
 from gridslam.errors import InputError
-from gridslam.live.monitor import FilterMonitor, LocalizationMonitor, MappingMonitor
-from gridslam.live.observer import LiveObserver, Snapshot
+from gridslam.live.observer import LiveObserver
 from gridslam.live.options import LiveOptions
+from gridslam.live.recorder import RunRecorder
 from gridslam.live.replay import Replay
 from gridslam.live.run import LiveRun
 from gridslam.live.server import PageServer
@@ -40,6 +40,8 @@ class LivePage:
         Maximum range of the filter; farther beams are not displayed.
     known : OccupancyGrid, optional
         The known map of a filter that localizes.
+    keeps_moments : bool
+        Whether the history of the observer's recorder gets moments, to be written to `history.npz`.
 
     Attributes
     ----------
@@ -54,18 +56,19 @@ class LivePage:
         *,
         range_max_m: float = math.inf,
         known: OccupancyGrid | None = None,
+        keeps_moments: bool = False,
     ) -> None:
         """Create the page without serving it."""
         options = options or LiveOptions()
-        self._run = LiveRun(title, range_max_m, known)
+        self._run = LiveRun(title, known)
         self._server = PageServer(self._run, options)
         self._last_stage = "final refinement" if known is None else "writing"
-        monitor: FilterMonitor = MappingMonitor() if known is None else LocalizationMonitor(known)
-        self.observer = LiveObserver(self._post, monitor, options.speed)
+        recorder = RunRecorder(range_max_m, keeps_moments=keeps_moments)
+        self.observer = LiveObserver(self._run.show, recorder, options.speed)
         self._run.observer = self.observer
 
     def __enter__(self) -> LivePage:
-        """Serve; raises OutputError if the port is in use."""
+        """Serve; raises ConfigurationError if the port is in use."""
         self._server.__enter__()
         return self
 
@@ -83,36 +86,31 @@ class LivePage:
         """Number of viewers."""
         return len(self._run.viewers)
 
-    def set_progress(self, progress: Callable[[], float]) -> None:
-        """Show progress on the page: `progress` returns the fraction of the source that was read, in [0, 1]."""
-        self.observer.progress = progress
-
     def pace(self, source: Iterable[_Measured], stopwatch: Stopwatch | None = None) -> Iterator[_Measured]:
         """Do as `follow`, and show then that the run goes over to its next stage."""
         yield from self.follow(source, stopwatch)
-        self._server.call(self._run.set_stage, self._last_stage)
+        self._run.stage = self._last_stage
 
     def follow(self, source: Iterable[_Measured], stopwatch: Stopwatch | None = None) -> Iterator[_Measured]:
         """Reset the page, and yield the measurements of a session at the speed of the options at most.
 
         The stopwatch does not count the waiting time.
         """
-        self._server.call(self._run.reset)
-        self.observer.reset()
+        self._run.reset()
         return self.observer.pace(source, stopwatch)
 
     def show_messages(self, messages: Sequence[Mapping[str, Any]]) -> None:
         """Show the messages so far, the newest first (`gridslam.messages.Messages.to_list`)."""
-        self._server.call(self._run.show_messages, messages)
+        self._run.messages = messages
 
     def show_state(self, name: str, text: str) -> None:
         """Update the page while no scan arrives, and show a node's state; call from the filter's thread."""
-        self.observer.take_pending_snapshot()
-        self._server.call(self._run.show_state, name, text)
+        self.observer.show_pending()
+        self._run.state = name, text
 
     def finish(self, grid: OccupancyGrid, poses: FloatArray, closures: FloatArray) -> None:
         """Show the final result: the map, poses (T, 3) of the key scans, and ends (C, 4) of the loop closures, m."""
-        self._server.call(self._run.finish, grid, poses, closures)
+        self._run.finish(grid, poses, closures)
 
     def wait_for_viewer(self, timeout_s: float) -> bool:
         """Wait for a viewer, at most `timeout_s`; return whether there is one."""
@@ -126,22 +124,12 @@ class LivePage:
 
         A lost connection has some seconds to reconnect.
         """
-        self._server.call(self._run.set_stage, "finished")
+        self._run.stage = "finished"
         if folder is not None:
             with suppress(InputError):  # something else has changed the folder
-                self._server.call(self._run.begin_replay, Replay(folder))
+                self._run.replay = Replay(folder)
         alone_since = -math.inf if not self.viewers else time.perf_counter()
         while time.perf_counter() - alone_since < _RECONNECT_S:
             time.sleep(0.1)
             if self.viewers:
                 alone_since = time.perf_counter()
-
-    def _post(self, snapshot: Snapshot) -> None:
-        if not self._server.call(self._apply, snapshot):
-            self.observer.period_s = math.inf  # the server has stopped
-
-    def _apply(self, snapshot: Snapshot) -> None:
-        try:
-            self._run.apply(snapshot)
-        finally:
-            self.observer.release()

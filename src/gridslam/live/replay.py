@@ -47,9 +47,8 @@ class Replay:
         self.replica = TileReplica() if found.grid is None else TileReplica.of(found.grid)
         self.end = Frame(self.path)
         if history is not None:
-            pairs = history.shown_closures
-            ends = found.poses[pairs[pairs[:, 1] < len(found.poses)], :2]
-            self.end = Frame(self.path, closures=ends.reshape(-1, 4).astype(np.float32))
+            everything = history.make_frame(found.poses[:, :2].astype(np.float32))
+            self.end = everything._replace(path=self.path)
         layers = {
             "map": found.grid is not None,
             "path": len(self.path) > 0,

@@ -1,115 +1,86 @@
-"""The viewers' side of a run: the state accumulated from its snapshots."""
+"""Content of the page of a run."""
 
 from __future__ import annotations
 
-import math
-from collections import deque
 from collections.abc import Mapping, Sequence
 from typing import Any, final
 
 import numpy as np
 
 from gridslam.errors import ArgumentError
-from gridslam.live.history import History
-from gridslam.live.observer import UNVIEWED_PERIOD_S, VIEWED_PERIOD_S, LiveObserver, Snapshot
+from gridslam.live.observer import UNVIEWED_PERIOD_S, VIEWED_PERIOD_S, LiveObserver
 from gridslam.live.protocol import NO_POINTS
 from gridslam.live.replay import Replay, ReplayViewer
-from gridslam.live.scene import MOST_MESSAGES, Frame, Scene, SentState, finite_or_none, make_run_info
+from gridslam.live.scene import MOST_MESSAGES, NO_SERIES, Frame, Scene, SentState, make_run_info
 from gridslam.live.tiles import TileReplica
-from gridslam.types import FloatArray, LaserScan, OccupancyGrid
+from gridslam.types import FloatArray, OccupancyGrid
 
 _LIVE_SLAM = "map", "path", "particles", "scan", "closures", "n_eff", "latency"
 _LIVE_LOCALIZATION = "map", "path", "particles", "scan", "n_eff", "latency", "lost_probability"
-_RATE_SNAPSHOTS = 12
 
 
 @final
 class LiveRun:
-    """Content of the page of a run; used by the server's thread only.
+    """Content of the page of a run: the filter's thread shows scenes, the server's thread sends them to the viewers.
 
     Parameters
     ----------
     title : str
         Title of the page.
-    range_max_m : float, m
-        Beams of this range or more are not displayed.
     known : OccupancyGrid, optional
         The known map of a localization.
 
     Attributes
     ----------
     observer : LiveObserver
-        Takes the snapshots; set before there are viewers.
+        Shows the run; set before there are viewers.
     replay : Replay or None
         What viewers see of the finished run, once there is one.
     viewers : set of LiveViewer
         Who looks on.
+    stage : str
+        "waiting", "running", "final refinement", "writing" or "finished".
+    state : (str, str) or None
+        The state of a node, by its name and in words.
+    messages : sequence of dict
+        The messages so far, the newest first (`gridslam.messages.Messages.to_list`).
     """
 
-    def __init__(self, title: str, range_max_m: float = math.inf, known: OccupancyGrid | None = None) -> None:
-        """Start before the first snapshot."""
+    def __init__(self, title: str, known: OccupancyGrid | None = None) -> None:
+        """Start before the first scan."""
         self.observer: LiveObserver
         self.replay: Replay | None = None
         self.viewers: set[LiveViewer] = set()
+        self.state: tuple[str, str] | None = None
+        self.messages: Sequence[Mapping[str, Any]] = ()
         self._title = title
-        self._range_max_m = range_max_m
         self._known = known
-        self._messages: Sequence[Mapping[str, Any]] = ()
-        self._state: tuple[str, str] | None = None  # of a node: name and text
         self.reset()
 
     def reset(self) -> None:
-        """Start before the first snapshot of a session, with an empty map or the known one."""
-        if self._known is None:
-            self._run_info = make_run_info(self._title, "live", _LIVE_SLAM)
+        """Start before the first scan of a session, with an empty map or the known one."""
+        known = self._known
+        if known is None:
+            run_info = make_run_info(self._title, "live", _LIVE_SLAM)
         else:
-            self._run_info = make_run_info(self._title, "live", _LIVE_LOCALIZATION, "update", self._known)
-        self._replica = TileReplica() if self._known is None else TileReplica.of(self._known)
-        self._stage = "waiting"
-        self._status: dict[str, Any] = {"keys": 0, "scans": 0, "particles": 0}
-        self._frame = Frame()
-        self._scan = NO_POINTS
-        self._history = History()
-        self._rate_window: deque[tuple[float, int, float]] = deque(maxlen=_RATE_SNAPSHOTS)
-        self._last_scan: LaserScan | None = None
+            run_info = make_run_info(self._title, "live", _LIVE_LOCALIZATION, "update", known)
+        replica = TileReplica() if known is None else TileReplica.of(known)
+        self._scene = Scene(run_info, {"keys": 0, "scans": 0, "particles": 0}, replica, Frame(), NO_SERIES)
+        self.stage = "waiting"
 
-    def apply(self, snapshot: Snapshot) -> None:
-        """Apply a snapshot."""
-        view = snapshot.view
-        if self._stage == "waiting":
-            self._run_info = {**self._run_info, "resolution_m": view.resolution_m}
-            self._stage = "running"
-        if view.changes is not None:
-            self._replica.apply(view.changes)
-        self._history = snapshot.history
-        self._frame = view.make_frame()
-        if snapshot.scan is not None and snapshot.scan is not self._last_scan:
-            self._last_scan = snapshot.scan
-            self._scan = snapshot.scan.beams(0.05, self._range_max_m).ends.astype(np.float32)
-        self._update_status(snapshot)
+    def show(self, scene: Scene) -> None:
+        """Show a scene of the observer."""
+        before = self._scene
+        replica = scene.replica if self._known is None else before.replica
+        self._scene = scene._replace(run_info={**before.run_info, **scene.run_info}, replica=replica)
+        if self.stage == "waiting":
+            self.stage = "running"
 
     def finish(self, grid: OccupancyGrid, poses: FloatArray, closures: FloatArray) -> None:
         """Show the final result: the map, poses (T, 3) of the key scans, and ends (C, 4) of the loop closures, m."""
-        self._replica = TileReplica.of(grid)
-        self._frame = Frame(poses[:, :2].astype(np.float32), closures=closures.astype(np.float32))
-        self._scan = NO_POINTS
-        self._stage = "writing"
-
-    def set_stage(self, stage: str) -> None:
-        """Go over to another stage: "running", "final refinement", "writing" or "finished"."""
-        self._stage = stage
-
-    def show_messages(self, messages: Sequence[Mapping[str, Any]]) -> None:
-        """Show these messages, the newest first, instead of those before (`gridslam.messages.Messages.to_list`)."""
-        self._messages = messages[:MOST_MESSAGES]
-
-    def show_state(self, name: str, text: str) -> None:
-        """Show the state of a node, by its name and in words, until the next one."""
-        self._state = name, text
-
-    def begin_replay(self, replay: Replay) -> None:
-        """Let each viewer look through the finished run."""
-        self.replay = replay
+        frame = Frame(poses[:, :2].astype(np.float32), closures=closures.astype(np.float32))
+        self._scene = self._scene._replace(replica=TileReplica.of(grid), frame=frame, scan=NO_POINTS)
+        self.stage = "writing"
 
     def add_viewer(self) -> LiveViewer:
         """Add a viewer."""
@@ -126,40 +97,20 @@ class LiveRun:
 
     def make_scene(self) -> Scene:
         """Return the current scene."""
-        stage, text = self._find_stage()
-        status = {**self._status, "stage": stage, "state": text}
-        series = self._history.series[: self._status["keys"]]
-        return Scene(self._run_info, status, self._replica, self._frame, series, self._scan, messages=self._messages)
+        scene = self._scene
+        stage, text = self._find_stage(scene.status)
+        status = {**scene.status, "stage": stage, "state": text}
+        return scene._replace(status=status, messages=self.messages[:MOST_MESSAGES])
 
-    def _find_stage(self) -> tuple[str, str]:
+    def _find_stage(self, status: Mapping[str, Any]) -> tuple[str, str]:
         """Return the name of the stage, and a node's own words for it."""
-        if self._stage not in ("waiting", "running"):
-            return self._stage, ""
-        if self._state is not None:
-            return self._state
-        if self._stage == "running" and self._status.get("lost"):
-            return ("looking" if self._status.get("looking") else "lost"), ""
-        return self._stage, ""
-
-    def _update_status(self, snapshot: Snapshot) -> None:
-        report = snapshot.report
-        stamp_s = report.stamp_ns * 1e-9
-        first_s = 1e-9 * self._history.stamps_ns[0] if snapshot.keys else stamp_s
-        self._rate_window.append((snapshot.taken_s, snapshot.scans, stamp_s))
-        wall_s, scans, log_s = (b - a for a, b in zip(self._rate_window[0], self._rate_window[-1], strict=True))
-        n_eff = finite_or_none(float(self._history.series[snapshot.keys - 1, 1])) if snapshot.keys else None
-        self._status = {
-            "scans": snapshot.scans,
-            "keys": snapshot.keys,
-            "time_s": stamp_s - first_s,
-            "pose": report.pose.tolist(),
-            "covariance": report.covariance.tolist(),
-            "lost": bool(report.lost),
-            "n_eff": n_eff,
-            "progress": finite_or_none(snapshot.progress),
-            "real_time_factor": log_s / wall_s if wall_s > 0 and scans else None,
-            **snapshot.view.status,
-        }
+        if self.stage not in ("waiting", "running"):
+            return self.stage, ""
+        if self.state is not None:
+            return self.state
+        if self.stage == "running" and status.get("lost"):
+            return ("looking" if status.get("looking") else "lost"), ""
+        return self.stage, ""
 
 
 @final

@@ -59,7 +59,7 @@ class Scene(NamedTuple):
         Path, particles and loop closures.
     series : (S, 5) float32
         For each key scan its time since the first, s, effective sample size, latency, ms, flags
-        (`gridslam.live.monitor`) and number of particles; NaN if unknown.
+        (`gridslam.live.history`) and number of particles; NaN if unknown.
     scan : (K, 2) float32, m
         End points of the current scan in the robot frame.
     plan : (P, 2) float32, m

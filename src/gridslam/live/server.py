@@ -23,7 +23,7 @@ from starlette.routing import Mount, WebSocketRoute
 from starlette.staticfiles import StaticFiles
 from starlette.websockets import WebSocket, WebSocketDisconnect
 
-from gridslam.errors import ArgumentError, OutputError
+from gridslam.errors import ArgumentError, ConfigurationError
 from gridslam.live.options import LiveOptions
 from gridslam.live.protocol import encode
 
@@ -59,10 +59,10 @@ class Viewer(Protocol):
 
 
 class PageContent(Protocol):
-    """Content of the page; used by the server's thread only."""
+    """Content of the page."""
 
     def add_viewer(self) -> Viewer:
-        """Add a viewer."""
+        """Add a viewer; called in the server's thread."""
         ...
 
 
@@ -73,13 +73,13 @@ class PageServer:
     Parameters
     ----------
     content : PageContent
-        Content of the page; from now on only this server's thread may use it, see `call`.
+        Content of the page; its viewers are used by this server's thread.
     options : LiveOptions
         Address of the page.
 
     Raises
     ------
-    OutputError
+    ConfigurationError
         On entering: the port is in use, or the address is not one of this machine.
     """
 
@@ -102,7 +102,6 @@ class PageServer:
             timeout_graceful_shutdown=1,
         )
         self._server = uvicorn.Server(config)
-        self._loop: asyncio.AbstractEventLoop | None = None
         self._running = threading.Event()
         self._thread = threading.Thread(target=self._serve, name="gridslam-live", daemon=True)
         self._socket: socket.socket | None = None
@@ -122,21 +121,11 @@ class PageServer:
     @property
     def url(self) -> str:
         """Address of the page."""
-        if self._socket is None:
-            raise OutputError("the page is not served")
+        assert self._socket is not None, "the page is not served"
         name, port = self._socket.getsockname()[:2]
         if name in ("0.0.0.0", "::"):
             name = socket.gethostname()
         return f"http://{f'[{name}]' if ':' in name else name}:{port}/"
-
-    def call(self, function: Callable[..., object], *arguments: object) -> bool:
-        """Schedule a call in the server's thread; thread-safe. Returns False if the server has stopped."""
-        try:
-            assert self._loop is not None
-            self._loop.call_soon_threadsafe(function, *arguments)
-        except RuntimeError:  # the loop is closed
-            return False
-        return True
 
     def _open_socket(self) -> socket.socket:
         host = self._options.host
@@ -146,13 +135,14 @@ class PageServer:
             return socket.create_server((host, port), family=family)
         except OSError as error:
             if error.errno == errno.EADDRINUSE:
-                raise OutputError(f"port {port} of {host} is taken; --live-port 0 takes one that is free") from None
-            raise OutputError(f"cannot listen at {host}, port {port}: {error.strerror or error}") from None
+                problem = f"port {port} of {host} is taken; --live-port 0 takes one that is free"
+            else:
+                problem = f"cannot listen at {host}, port {port}: {error.strerror or error}"
+            raise ConfigurationError(problem) from None
 
     def _serve(self) -> None:
         async def serve() -> None:
-            self._loop = asyncio.get_running_loop()
-            self._loop.set_exception_handler(_ignore_connections)
+            asyncio.get_running_loop().set_exception_handler(_ignore_connections)
             self._running.set()
             await self._server.serve([self._socket] if self._socket else None)
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import sys
+import threading
 from collections.abc import Iterable
 from dataclasses import dataclass
 from itertools import takewhile
@@ -90,15 +92,19 @@ def _align(*tables: tuple[Int32Array, tuple[int, int]]) -> tuple[Int32Array, Int
 
 @final
 class TileReplica:
-    """A map as it is shown, in packed levels; each visible change of a tile gets the next sequence number."""
+    """A map as it is shown, in packed levels; each visible change of a tile gets the next sequence number.
 
-    __slots__ = ("_numbers", "_tiles", "sequence")
+    The filter's thread writes it, the server's thread reads it.
+    """
+
+    __slots__ = ("_lock", "_numbers", "_tiles", "sequence")
 
     def __init__(self) -> None:
         """Start with an empty map."""
         self._tiles: PackedTiles = {}
         self._numbers: dict[tuple[int, int], int] = {}  # in ascending order
         self.sequence = 0
+        self._lock = threading.Lock()
 
     @classmethod
     def of(cls, grid: OccupancyGrid) -> TileReplica:
@@ -118,24 +124,26 @@ class TileReplica:
         self._put((at, _UNKNOWN_TILE) for at in self._tiles.keys() - tiles.keys())
         self._put(tiles.items())
 
-    def since(self, number: int, most: int) -> tuple[Int32Array, NDArray[np.uint8], int]:
+    def since(self, number: int, most: int = sys.maxsize) -> tuple[Int32Array, NDArray[np.uint8], int]:
         """Return rows and columns (K, 2), packed levels (K, 512) and last number of the next `most` tiles after one.
 
         Tiles have their current levels; all tiles up to `sequence` are the whole map.
         """
-        newer = [*takewhile(lambda item: item[1] > number, reversed(self._numbers.items()))][::-1]
-        last = newer[most - 1][1] if len(newer) > most else self.sequence
-        at = [at for at, _ in newer[:most]]
-        packed = np.frombuffer(b"".join(self._tiles[one] for one in at), np.uint8)
+        with self._lock:
+            newer = [*takewhile(lambda item: item[1] > number, reversed(self._numbers.items()))][::-1]
+            last = newer[most - 1][1] if len(newer) > most else self.sequence
+            at = [at for at, _ in newer[:most]]
+            packed = np.frombuffer(b"".join(self._tiles[one] for one in at), np.uint8)
         return np.array(at, np.int32).reshape(-1, 2), packed.reshape(-1, TILE_BYTES), last
 
     def _put(self, tiles: Iterable[tuple[tuple[int, int], bytes]]) -> None:
-        for at, packed in tiles:
-            if self._tiles.get(at, _UNKNOWN_TILE) != packed:
-                self._tiles[at] = packed
-                self.sequence += 1
-                self._numbers.pop(at, None)
-                self._numbers[at] = self.sequence
+        with self._lock:
+            for at, packed in tiles:
+                if self._tiles.get(at, _UNKNOWN_TILE) != packed:
+                    self._tiles[at] = packed
+                    self.sequence += 1
+                    self._numbers.pop(at, None)
+                    self._numbers[at] = self.sequence
 
 
 def tile_offset(grid: OccupancyGrid) -> tuple[float, float]:

@@ -83,7 +83,7 @@ def test_a_robot_is_not_held_up_and_what_is_wrong_is_read(browser, drive, screen
         messages = Messages(lambda level, text: None)
         messages.report(Level.ERROR, "starting a new map: time jumped back, and the robot is elsewhere")
         messages("two transforms", "odom is published twice")
-        messages.report_state(Level.WARN, "no transform from 'laser' to 'base_link'")
+        messages.report(Level.WARN, "no transform from 'laser' to 'base_link'", is_state=True)
         page.show_messages(messages.to_list())
         page.show_state("no transforms", "no transform from 'laser' to 'base_link'")
         wait(lambda: shown(browser, "notice"), "what is wrong")

@@ -11,7 +11,7 @@ from gridslam.io.carmen.writer import write_carmen
 from gridslam.io.maps import read_map, write_map
 from gridslam.live.history import LOST
 from gridslam.live.history_file import HISTORY_NAME, write_history
-from gridslam.live.history_recorder import HistoryRecorder
+from gridslam.live.recorder import RunRecorder
 from gridslam.live.replay import Replay
 from gridslam.messages import Messages
 from gridslam.sim import OdometryNoise
@@ -31,7 +31,7 @@ def place(tmp_path_factory):
     folder = tmp_path_factory.mktemp("flat")
     write_map(folder / "flat.yaml", flat_map())
     write_carmen(folder / "flat.clf", drive(1, OdometryNoise()).measurements)
-    history = HistoryRecorder(is_localization=True)
+    history = RunRecorder()
     result = localize(folder / "flat.clf", folder / "flat.yaml", seed=2, observers=[history], gate=history.follow)
     result.save(folder / "out")
     write_history(folder / "out" / HISTORY_NAME, history.history)

@@ -9,7 +9,7 @@ from gridslam.config import build, override
 from gridslam.errors import InputError
 from gridslam.live.history import History, PastReader
 from gridslam.live.history_file import read_history, write_history
-from gridslam.live.history_recorder import HistoryRecorder
+from gridslam.live.recorder import RunRecorder
 from gridslam.live.tiles import TileReplica, split_into_tiles
 from gridslam.pipeline import run
 from support.loops import PROVOKED, loop_drive
@@ -44,7 +44,7 @@ def begin(recorder, most, source):
 
 def record(drive, *most):
     """Recorders, and of each key scan the map, the path and the pose as they were; the past is corrected."""
-    recorders, seen = [HistoryRecorder(30.0) for _ in most], []
+    recorders, seen = [RunRecorder(30.0) for _ in most], []
     source = drive
     for recorder, count in zip(recorders, most, strict=True):
         source = recorder.follow(source)

@@ -8,8 +8,8 @@ import pytest
 from gridslam.api.localization import localize
 from gridslam.io.carmen.writer import write_carmen
 from gridslam.live.history import LOST
-from gridslam.live.monitor import LocalizationMonitor
 from gridslam.live.observer import LiveObserver
+from gridslam.live.recorder import RunRecorder
 from gridslam.live.run import LiveRun
 from gridslam.sim import OdometryNoise
 from support.localization_world import drive, flat_map
@@ -32,15 +32,11 @@ class ObservedLocalization:
     """A localization that is looked at without a server, at every scan."""
 
     def __init__(self, grid):
-        self.live, self.client, self.checked = LiveRun("flat", 30.0, grid), PageClient(), 0
-        self.observer = self.live.observer = LiveObserver(self.post, LocalizationMonitor(grid))
+        self.live, self.client, self.checked = LiveRun("flat", grid), PageClient(), 0
+        self.observer = self.live.observer = LiveObserver(self.live.show, RunRecorder(30.0))
         self.viewer = self.live.add_viewer()
         self.observer.period_s = 0.0
         self.client.catch_up(self.viewer)
-
-    def post(self, snapshot):
-        self.live.apply(snapshot)
-        self.observer.release()
 
     def go(self, log, grid, check=lambda report, state: None):
         def seen(report, state, seconds):
@@ -71,7 +67,7 @@ def test_the_belief_is_seen_as_it_is(grid, log):
         particles = client.arrays["particles"]
         assert len(particles) <= 1000
         assert particles[:, 3].sum() == pytest.approx(1.0, abs=1e-3)
-        # of some 2000 particles each second is shown, and places are rounded to 1.6 cm
+        # of some 2000 particles each second is shown
         near = np.hypot(*(particles[:, :2] - report.pose[:2]).T) < 1.0
         assert particles[near, 3].sum() == pytest.approx(state.estimate.mass, abs=0.1)
         status = client.status

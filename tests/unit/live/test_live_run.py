@@ -12,8 +12,8 @@ import pytest
 from gridslam.config import build, override
 from gridslam.errors import ArgumentError
 from gridslam.live.history import CORRECTED
-from gridslam.live.monitor import MappingMonitor
 from gridslam.live.observer import LiveObserver
+from gridslam.live.recorder import RunRecorder
 from gridslam.live.run import LiveRun
 from gridslam.pipeline import run
 from support.loops import PROVOKED, loop_drive
@@ -31,23 +31,22 @@ class ObservedRun:
     """A run that is looked at without a server, every scan or as rarely as `every` says."""
 
     def __init__(self, every: int = 1) -> None:
-        self.live = LiveRun("loop", 30.0)
-        self.observer = self.live.observer = LiveObserver(self.post, MappingMonitor())
-        self.every, self.scans, self.posted, self.held = every, 0, 0, []
+        self.live = LiveRun("loop")
+        self.observer = self.live.observer = LiveObserver(self.show, RunRecorder(30.0))
+        self.every, self.scans, self.shown = every, 0, 0
         self.check = lambda state: None
 
-    def post(self, snapshot):
-        self.posted += 1
-        self.live.apply(snapshot)
-        self.observer.release()
+    def show(self, scene):
+        self.shown += 1
+        self.live.show(scene)
 
     def __call__(self, report, state, seconds):
         self.scans += 1
         self.observer.period_s = 0.0 if self.scans % self.every == 0 else float("inf")
         self.observer._due = 0.0 if self.scans % self.every == 0 else float("inf")
-        posted = self.posted
+        shown = self.shown
         self.observer(report, state, seconds)
-        if self.posted > posted:
+        if self.shown > shown:
             self.check(state)
 
     def go(self, measurements):
@@ -90,35 +89,28 @@ def test_the_filter_gives_the_same_bytes_with_and_without(drive):
         assert array.tobytes() == watched[name].tobytes(), name
 
 
-def test_a_slow_reader_gets_fewer_snapshots_and_all_that_changed(drive):
-    """While a snapshot is not done with none is taken, and nothing waits; the next brings all."""
-    observed, client, late = ObservedRun(), PageClient(), []
+def test_a_viewer_that_reads_rarely_gets_all_that_changed(drive):
+    """Nothing waits for a viewer, and its next message brings all."""
+    observed, client = ObservedRun(), PageClient()
     viewer = observed.live.add_viewer()
 
-    def post(snapshot):
-        observed.posted += 1
-        late.append(snapshot)
+    def check(state):
+        if observed.scans % 50 == 0:
+            client.receive(viewer.next_message())
 
-    def finish(report, state, seconds):
-        observed(report, state, seconds)
-        if late and observed.scans % 10 == 0:
-            observed.live.apply(late.pop())
-            observed.observer.release()
-
-    observed.observer._post = post
-    slam, rng = build(RESAMPLING), np.random.default_rng(3)
-    state = run(drive[:120], replace(slam, particles=6), rng=rng, observers=[finish])
-    assert observed.posted <= 13
-    for snapshot in late:
-        observed.live.apply(snapshot)
-    observed.observer.release()
-    observed.observer._take_snapshot(0.0)
-    for snapshot in late[-1:]:
-        observed.live.apply(snapshot)
+    observed.check = check
+    state = observed.go(drive[:120])
     client.catch_up(viewer)
     assert client.sees(state.maps.occupancy(state.best))
+    assert client.messages < 10
     assert client.status["scans"] == 120
     assert len(client.series) == client.status["keys"]
+
+
+def test_a_run_is_shown_at_a_bounded_rate(drive):
+    observed = ObservedRun(every=10)
+    observed.go(drive[:125])
+    assert observed.shown == 13, "every tenth scan, and the end"
 
 
 def test_a_running_filter_takes_no_commands():

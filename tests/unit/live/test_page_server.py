@@ -12,7 +12,7 @@ from websockets.exceptions import ConnectionClosed, InvalidStatus
 from websockets.sync.client import connect
 
 from gridslam.config import build
-from gridslam.errors import OutputError
+from gridslam.errors import ConfigurationError
 from gridslam.live.options import LiveOptions
 from gridslam.live.page import LivePage
 from gridslam.pipeline import run
@@ -64,7 +64,7 @@ def test_several_viewers_get_the_whole_map_whenever_they_come(drive):
         assert client.status["stage"] == "waiting"
         state = mapped(page, drive)
         grid = state.maps.occupancy(state.best)
-        receive_until(socket, client, lambda: client.sees(grid))
+        receive_until(socket, client, lambda: client.sees(grid) and client.status["stage"] == "final refinement")
         with viewing(page.url) as (other_socket, other):
             receive_until(other_socket, other, lambda: other.sees(grid))
             assert other.status["scans"] == 120
@@ -169,10 +169,10 @@ def test_a_viewer_that_says_nonsense_is_told_so_and_the_others_stay():
 def test_a_port_that_is_taken_is_told_with_the_remedy():
     with LivePage("one", FREE) as page:
         port = int(page.url.rstrip("/").rpartition(":")[2])
-        with pytest.raises(OutputError, match=rf"port {port} of .* is taken; --live-port 0 takes one"):
+        with pytest.raises(ConfigurationError, match=rf"port {port} of .* is taken; --live-port 0 takes one"):
             LivePage("two", LiveOptions(port=port)).__enter__()
 
 
 def test_an_address_of_another_machine_is_refused():
-    with pytest.raises(OutputError, match=r"cannot listen at 192\.0\.2\.1"):
+    with pytest.raises(ConfigurationError, match=r"cannot listen at 192\.0\.2\.1"):
         LivePage("one", LiveOptions(host="192.0.2.1", port=0)).__enter__()

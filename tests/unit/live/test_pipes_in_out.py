@@ -28,7 +28,9 @@ def healthy(tmp_path_factory):
     history = History()
     nothing = np.zeros((0, 2))
     path, at, scan = (nothing.astype(kind) for kind in (np.float32, np.int32, np.int16))
-    history.note_key_scan(1, 1, np.zeros(5))
+    history.stamps_ns.append(1)
+    history.scans.append(1)
+    history.figures.extend([0.0] * 5)
     history.add(Moment(1, 1, np.zeros(3), 0, path, at, np.zeros(0, np.uint8), scan))
     write_history(folder / "out" / "history.npz", history)
     return folder / "out"

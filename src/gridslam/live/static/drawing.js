@@ -91,8 +91,8 @@ export class Drawing {
       context.globalAlpha = 1;
     }
     Object.assign(context, { strokeStyle: colours.path, lineWidth: Math.min(Math.max(camera.scale / 8, 1.2), 2.2) });
-    const best = world.plan.length || world.status.past ? undefined : world.status.best;
-    const now = best === undefined ? [] : world.particles.subarray(4 * best, 4 * best + 2); // since the last key scan
+    const { plan, status } = world, isMapping = status.best !== undefined && !plan.length && !status.past;
+    const now = isMapping ? status.pose.slice(0, 2) : []; // since the last key scan
     line(context, [...world.path, ...now], camera);
   }
 

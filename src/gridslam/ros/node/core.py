@@ -25,7 +25,7 @@ from gridslam.pipeline import FailedStep, Observer, describe_error, isolate
 from gridslam.ros.node.accepted_scan import AcceptedScan, ScanRecorder
 from gridslam.ros.node.continued import Continued
 from gridslam.ros.node.live_autosave import LiveAutosave, SessionFiles
-from gridslam.ros.node.mapping_session import Session, SessionCopy
+from gridslam.ros.node.mapping_session import Session
 from gridslam.ros.node.measurement_queue import MeasurementQueue, SessionEnd
 from gridslam.ros.node.messages import Diagnostics, GridMessage, Outputs, ScanMessage, StampedTransform
 from gridslam.ros.node.parameters import NodeSettings
@@ -130,12 +130,8 @@ class NodeCore:
         self._autosave: LiveAutosave | None = None
         if files is not None and files.autosave is not None:
             self._autosave = LiveAutosave(files, self.messages.report)
-            self.add_timer(files.autosave_period_s, lambda: self._queue.post(self._save_now))
+            self._timers.append(("autosave", files.autosave_period_s, lambda: self._queue.post(self._save_now)))
         self._threads = [threading.Thread(target=self._run_filter, name="gridslam-filter", daemon=True)]
-
-    def add_timer(self, period_s: float, callback: Callable[[], None]) -> None:
-        """Add a call every `period_s` seconds before `start`, in a thread of its own."""
-        self._timers.append(("timer", period_s, callback))
 
     def add_observer(
         self, observer: Observer, wrap_source: SourceWrapper = iter, on_diagnostics: DiagnosticsCallback | None = None
@@ -168,7 +164,7 @@ class NodeCore:
         for thread in self._threads:
             thread.start()
 
-    def close(self) -> SessionCopy | None:
+    def close(self) -> Session | None:
         """Stop the node and return a copy of the session to save; None if no scan was mapped."""
         self._queue.end_session(SessionEnd.CLOSED)
         for thread in self._threads:
@@ -252,7 +248,7 @@ class NodeCore:
         Returns the content of run.json. Raises GridslamError if nothing is mapped yet, OutputError if the folder
         cannot be written or the filter does not respond.
         """
-        answer: Future[SessionCopy] = Future()
+        answer: Future[Session] = Future()
 
         def respond() -> None:
             try:
@@ -274,7 +270,7 @@ class NodeCore:
         session = self._session
         return session if isinstance(session, Session) and session.state is not None else None
 
-    def _copy_mapped(self, *, is_last: bool = False) -> SessionCopy:
+    def _copy_mapped(self, *, is_last: bool = False) -> Session:
         mapped = self.mapped_session
         if mapped is None:
             why = (

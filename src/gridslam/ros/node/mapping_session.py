@@ -6,7 +6,7 @@ import copy
 import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import suppress
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from datetime import datetime, timezone
 from importlib import import_module
 from itertools import chain
@@ -40,7 +40,7 @@ _PRELOADED: Final = ("scipy.sparse", "qdldl", "gridslam.viz")
 
 @final
 class Session:
-    """A mapping session; used by the filter's thread only.
+    """A mapping session; used by the filter's thread only, but for its copies.
 
     Parameters
     ----------
@@ -61,6 +61,10 @@ class Session:
         What the robot had driven in this session when it was found in the map that it goes on from; None before.
     configuration : Configuration
         As given.
+    log : LogStatistics
+        Of the scans so far.
+    record : Path or None
+        Of a copy: the file with all its scans; None if there is none.
     """
 
     restart_message = "starting a new map"
@@ -82,20 +86,23 @@ class Session:
         self._seed = seed
         self._threads = threads
         self._report = log
-        self._log = LogStatistics()
+        self.log = LogStatistics()
         self._stopwatch = Stopwatch()
         self._failures = FailureRecorder()
         self._begun = Beginning(SavedRun(np.random.default_rng(seed)))
         self._earlier: EarlierDrives | None = None  # until they are prepared
         self._is_prepared = False
+        self.record: Path | None = None
+        self._is_last = False
+        self._messages: Sequence[Mapping[str, Any]] = ()
 
     def add(self, accepted: AcceptedScan) -> None:
         """Count a measurement before the filter processes it."""
         scan = accepted.measurement.scan
-        if scan.sensor not in self._log.mountings:
+        if scan.sensor not in self.log.mountings:
             pose = np.append(scan.geometry.origin, accepted.mounting[5])
-            self._log.mountings[scan.sensor] = Mounting(pose, f"tf, frame {scan.frame}")
-        self._log.count(accepted.measurement)
+            self.log.mountings[scan.sensor] = Mounting(pose, f"tf, frame {scan.frame}")
+        self.log.count(accepted.measurement)
 
     def run(self, source: Iterator[Measurement], observers: Sequence[Observer], on_failure: FailureCallback) -> None:
         """Run the filter on all measurements of a source; scans at which it fails are skipped."""
@@ -123,27 +130,22 @@ class Session:
 
     def copy(
         self, record: Path | None, *, is_last: bool = False, messages: Sequence[Mapping[str, Any]] = ()
-    ) -> SessionCopy:
-        """Copy everything that `save` needs, after the first scan.
+    ) -> Session:
+        """Copy the session after its first scan, to be saved by another thread while the filter goes on.
 
         `record` is the file with all scans so far, None if there is none; `is_last`: the filter has ended; `messages`
         are what was reported so far.
         """
         assert self.state is not None
         now = replace(self._begun.run, state=self.state).copy()
-        return SessionCopy(
-            self.configuration,
-            self._seed,
-            self._threads,
-            replace(self._begun, run=now),
-            self._earlier,
-            *copy.deepcopy((self._log, self._stopwatch)),
-            record,
-            self._failures.describe(),
-            is_last,
-            self.continued,
-            messages,
-        )
+        copied = copy.copy(self)
+        copied.state = now.state
+        copied._begun = replace(self._begun, run=now)
+        copied.log, copied._stopwatch, copied._failures = copy.deepcopy((self.log, self._stopwatch, self._failures))
+        copied.record = record
+        copied._is_last = is_last
+        copied._messages = messages
+        return copied
 
     def to_session(self, *, wait: bool = False) -> SavedSession | None:
         """Give what a file of the session holds, to be frozen or written before the next scan; None if there is none.
@@ -158,8 +160,76 @@ class Session:
         earlier = self._earlier
         if self.state is None or (earlier is not None and not earlier.is_ready and not wait):
             return None
-        begun = self._begun if earlier is None else earlier.add_to(self._begun)
-        return _make_session(self.configuration, self._seed, begun, self.state, self._log, None)
+        so_far = self._whole().go_on(self.state, self._describe_log())
+        written = datetime.now(timezone.utc).isoformat(timespec="seconds")
+        return SavedSession(self.configuration, self._seed, so_far.run, so_far.pieces, written=written)
+
+    def save(self, folder: str | Path) -> dict[str, Any]:
+        """Write the files of `gridslam map` after the final refinement, which takes time; returns run.json's content.
+
+        To be called of a copy.
+
+        Raises
+        ------
+        OutputError
+            The folder cannot be written.
+        """
+        result = self._compute_result()
+        try:
+            return result.save(folder, self._messages)
+        except OSError as error:
+            raise OutputError(f"{folder}: cannot be written: {error.strerror or error}") from None
+
+    def save_session(self, path: str | Path) -> None:
+        """Write the session file.
+
+        Raises
+        ------
+        OutputError
+            It cannot be written.
+        GridslamError
+            What earlier drives have left cannot be gone on from.
+        """
+        session = self.to_session(wait=True)
+        assert session is not None
+        write_session(path, session)
+
+    def _whole(self) -> Beginning:
+        """Return what the session has begun with, and what earlier drives have left, which may take time."""
+        return self._begun if self._earlier is None else self._earlier.add_to(self._begun)
+
+    def _compute_result(self) -> MapResult:
+        """Compute the full result, as `gridslam map` does at the end of a log."""
+        frozen = self.state
+        assert frozen is not None
+        self._stopwatch.resume()
+        begun = self._begun
+        with suppress(GridslamError):  # reported before; the map is that of this drive alone
+            begun = self._whole()
+        begun = begun.go_on(frozen)  # the copy that is refined does not know in which piece the robot was found
+        state = GridFastSlamState.from_arrays(frozen.to_arrays(), self.configuration.mapper, self._threads)
+        if self._is_last:
+            begun.attach_to(state)
+            begun.finish(state, build(self.configuration, self._threads))
+        ended = begun.go_on(state, self._describe_log())
+        return finish_mapping(
+            ended.run,
+            self.configuration,
+            seed=self._seed,
+            threads=self._threads,
+            log=self.log,
+            source=Path(next(iter(self.log.scans))) if self.record is None else self.record,
+            digest="" if self.record is None else compute_digest(self.record),
+            repair=Repair(),
+            stopwatch=self._stopwatch,
+            failures=self._failures.describe(),
+            pieces=ended.pieces,
+        )
+
+    def _describe_log(self) -> DrivenLog:
+        """Describe the scans as a file remembers them."""
+        source = ", ".join(self.log.scans) if self.record is None else str(self.record)
+        return DrivenLog.of(source, "", self.log)
 
     def _begin(self, first: Measurement, slam: GridFastSlam) -> None:
         self._begun, is_new = begin(self.continued, first, slam, self._seed, self._report)
@@ -186,109 +256,3 @@ class Session:
             x, y, theta = state.best_pose.tolist()
             place = f"x {x:.2f} m, y {y:.2f} m, heading {math.degrees(theta):.0f} degrees"
             self._report(Level.OK, f"found again in {found_in} after {self.found_after_m:.1f} m, at {place}")
-
-
-@final
-@dataclass(frozen=True, slots=True, eq=False)
-class SessionCopy:
-    """A copy of a session, read by another thread while the filter goes on."""
-
-    configuration: Configuration
-    seed: int
-    threads: int
-    beginning: Beginning
-    earlier: EarlierDrives | None
-    log: LogStatistics
-    stopwatch: Stopwatch
-    record: Path | None
-    failures: tuple[str, ...]
-    is_last: bool
-    continued: Continued | None = None
-    messages: Sequence[Mapping[str, Any]] = ()
-
-    def save(self, folder: str | Path) -> dict[str, Any]:
-        """Write the files of `gridslam map` after the final refinement, which takes time; returns run.json's content.
-
-        Raises
-        ------
-        OutputError
-            The folder cannot be written.
-        """
-        result = self._compute_result()
-        try:
-            return result.save(folder, self.messages)
-        except OSError as error:
-            raise OutputError(f"{folder}: cannot be written: {error.strerror or error}") from None
-
-    def save_session(self, path: str | Path) -> None:
-        """Write the session file.
-
-        Raises
-        ------
-        OutputError
-            It cannot be written.
-        GridslamError
-            What earlier drives have left cannot be gone on from.
-        """
-        begun = self._whole()
-        state = begun.run.state
-        assert state is not None
-        session = _make_session(self.configuration, self.seed, begun, state, self.log, self.record)
-        write_session(path, session)
-
-    def _whole(self) -> Beginning:
-        """What the session has begun with, and what earlier drives have left, which may take time."""
-        return self.beginning if self.earlier is None else self.earlier.add_to(self.beginning)
-
-    def _compute_result(self) -> MapResult:
-        """Compute the full result, as `gridslam map` does at the end of a log."""
-        self.stopwatch.resume()
-        begun = self.beginning
-        with suppress(GridslamError):  # reported before; the map is that of this drive alone
-            begun = self._whole()
-        frozen = begun.run.state
-        assert frozen is not None
-        begun = begun.go_on(frozen)  # the copy that is refined does not know in which piece the robot was found
-        state = GridFastSlamState.from_arrays(frozen.to_arrays(), self.configuration.mapper, self.threads)
-        if self.is_last:
-            begun.attach_to(state)
-            begun.finish(state, build(self.configuration, self.threads))
-        ended = begun.go_on(state, _describe_log(self.log, self.record))
-        return finish_mapping(
-            ended.run,
-            self.configuration,
-            seed=self.seed,
-            threads=self.threads,
-            log=self.log,
-            source=Path(next(iter(self.log.scans))) if self.record is None else self.record,
-            digest="" if self.record is None else compute_digest(self.record),
-            repair=Repair(),
-            stopwatch=self.stopwatch,
-            failures=self.failures,
-            pieces=ended.pieces,
-        )
-
-
-def _make_session(
-    configuration: Configuration,
-    seed: int,
-    begun: Beginning,
-    state: GridFastSlamState,
-    log: LogStatistics,
-    record: Path | None,
-) -> SavedSession:
-    """Give what a file of a session holds."""
-    so_far = begun.go_on(state, _describe_log(log, record))
-    return SavedSession(
-        configuration,
-        seed,
-        so_far.run,
-        so_far.pieces,
-        written=datetime.now(timezone.utc).isoformat(timespec="seconds"),
-    )
-
-
-def _describe_log(log: LogStatistics, record: Path | None) -> DrivenLog:
-    """Describe the scans of a session as a file remembers them."""
-    source = ", ".join(log.scans) if record is None else str(record)
-    return DrivenLog.of(source, "", log)

@@ -18,7 +18,7 @@ from gridslam.io.output import OutputFolder
 from gridslam.pipeline import describe_error
 from gridslam.ros.node.core import NodeCore
 from gridslam.ros.node.live_autosave import keep_other
-from gridslam.ros.node.mapping_session import SessionCopy
+from gridslam.ros.node.mapping_session import Session
 from gridslam.ros.node.messages import PLANAR, Level
 from gridslam.ros.node.outputs import grid_values
 from gridslam.ros.node.parameters import NodeParameters
@@ -102,7 +102,7 @@ class RosNode:
         finally:
             self._transport.close()
 
-    def _write(self, session: SessionCopy) -> None:
+    def _write(self, session: Session) -> None:
         """Write what was mapped: first the session, as a node that takes long to end may be killed."""
         try:
             self._write_session(session)
@@ -111,7 +111,7 @@ class RosNode:
                 self._log(Level.OK, f"writing {session.log.scan_count} scans to {self._out.resolve()}")
                 session.save(self._out)
 
-    def _write_session(self, session: SessionCopy) -> None:
+    def _write_session(self, session: Session) -> None:
         save = self._files.save
         if save is None:
             return

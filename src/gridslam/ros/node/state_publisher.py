@@ -29,7 +29,6 @@ Report: TypeAlias = StepReport | LocalizationReport
 _MAX_CLOCK_OFFSET_NS = 5_000_000_000
 _MAX_LATENCIES = 2000  # the last ones, reported by the diagnostics
 _RECENT_S = 2.0
-_REPEAT_PERIOD_S = 1.0
 _APART_NS = 1_000
 _MAX_SET_BACK_NS = 500_000_000  # a clock that is set back by less is waited for
 _MAX_OWN_TRANSFORMS = 1000  # the last published transforms, to recognize them on /tf
@@ -79,9 +78,7 @@ class StatePublisher:
         self._map_from_odom: FloatArray = np.zeros(3)
         self._child = settings.base_frame if settings.odometry == "none" else settings.odom_frame
         self._stamp_ns = 0
-        self._published: tuple[int, Report | None] = -1, None  # time of the clock, and the report
         self._own_transforms: dict[StampedTransform, None] = {}  # in order
-        self._repeat_after_s = 0.0
         self._memory_bytes = 0
         self._arrived_s = 0.0
         self._latencies: deque[float] = deque(maxlen=_MAX_LATENCIES)
@@ -157,14 +154,7 @@ class StatePublisher:
         with self._lock:
             if self._report is None:
                 return
-            clock_ns = self._outputs.now_ns()
-            now_s = time.monotonic()
-            current = clock_ns, self._report
-            if current == self._published and now_s < self._repeat_after_s:  # a clock at rest
-                return
-            self._published = current
-            self._repeat_after_s = now_s + _REPEAT_PERIOD_S
-            stamp_ns = self._unique_stamp(clock_ns + round(settings.tf_delay_s * 1e9))
+            stamp_ns = self._unique_stamp(self._outputs.now_ns() + round(settings.tf_delay_s * 1e9))
             x, y, theta = self._map_from_odom.tolist()
             pose = (x, y, 0.0, 0.0, 0.0, float(np.sin(0.5 * theta)), float(np.cos(0.5 * theta)))
             transform = StampedTransform(stamp_ns, settings.map_frame, self._child, pose)
@@ -222,7 +212,7 @@ class StatePublisher:
             is_new = state != self._logged
             self._logged = state
         if is_new:
-            self._messages.report_state(state.level, state.text)
+            self._messages.report(state.level, state.text, is_state=True)
 
     def _find_state(self) -> NodeState:
         """Return the state of the node."""
