@@ -167,10 +167,6 @@ class Match:
         """Matches `chosen` (M,) of them."""
         return Match(self.poses[chosen], self.information[chosen], self.score[chosen])
 
-    def only(self, k: int) -> Match:
-        """Match k alone."""
-        return self.select(np.array([k]))
-
 
 @final
 @dataclass(frozen=True, slots=True, eq=False)
