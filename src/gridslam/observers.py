@@ -12,7 +12,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gridslam.arguments import COUNT
-from gridslam.errors import ArgumentError
 from gridslam.serialization import read_array
 from gridslam.slam.full_slam.full_trajectory import TrackedScans, full_trajectory
 from gridslam.slam.grid_fastslam.state import GridFastSlamState
@@ -24,49 +23,34 @@ class TrajectoryRecorder:
     """Records the data of the online and the full trajectory of all scans.
 
     Between two key scans all particles move with the tracker (see `gridslam.slam.full_slam.full_trajectory`).
-    Uses 8 bytes of memory for a scan, and 64 more for one that is not where the last one was.
+    Uses 64 bytes of memory for a scan.
     """
 
-    __slots__ = ("_key_from_base", "_keys", "_last", "_online", "_repeats", "_stamps_ns", "_steps")
+    __slots__ = ("_key_from_base", "_keys", "_online", "_stamps_ns", "_steps")
 
     def __init__(self) -> None:
         """Start without scans; the first one must be the filter's first."""
         self._steps = 0
         self._stamps_ns = array("q")
-        self._repeats = array("q")  # successive scans at the same poses, which the arrays below have once
         self._keys = array("q")
         self._online = array("d")
         self._key_from_base = array("d")
-        self._last: list[float] = []
 
     def __call__(self, report: StepReport, state: GridFastSlamState, seconds: float) -> None:
         """Record one scan."""
         self._stamps_ns.append(report.stamp_ns)
-        pose = report.pose.tolist()
-        key_from_base = report.key_from_base.tolist()
-        poses = pose + key_from_base
-        if report.skipped is not None and poses == self._last:
-            self._repeats[-1] += 1
-            return
-        self._last = poses
         self._steps += report.skipped is None
-        self._repeats.append(1)
         self._keys.append(self._steps - 1)
-        self._online.extend(pose)
-        self._key_from_base.extend(key_from_base)
+        self._online.extend(report.pose.tolist())
+        self._key_from_base.extend(report.key_from_base.tolist())
 
     def to_arrays(self) -> dict[str, NDArray[Any]]:
-        """Return plain arrays: `stamps_ns` (N,) of the scans, and the M poses at which they were one after the other.
-
-        `repeats` (M,) int64 is the number of scans at each, `keys` (M,) int64 the key scan at or before it, `online`
-        and `key_from_base` are (M, 3) float64.
-        """
+        """Return plain arrays: `stamps_ns` and `keys` (N,) int64, `online` and `key_from_base` (N, 3) float64."""
         return {
             "stamps_ns": _as_integers(self._stamps_ns),
-            "repeats": _as_integers(self._repeats),
-            "keys": _as_integers(self._keys),
+            "keys": self.keys,
             "online": _as_poses(self._online),
-            "key_from_base": _as_poses(self._key_from_base),
+            "key_from_base": self.key_from_base,
         }
 
     @classmethod
@@ -76,25 +60,18 @@ class TrajectoryRecorder:
         sizes: dict[str, int] = {}
         for name, kept, shape in (
             ("stamps_ns", self._stamps_ns, ("scans",)),
-            ("repeats", self._repeats, ("poses",)),
-            ("keys", self._keys, ("poses",)),
-            ("online", self._online, ("poses", 3)),
-            ("key_from_base", self._key_from_base, ("poses", 3)),
+            ("keys", self._keys, ("scans",)),
+            ("online", self._online, ("scans", 3)),
+            ("key_from_base", self._key_from_base, ("scans", 3)),
         ):
             kept.frombytes(read_array(arrays, name, kept.typecode, shape, sizes).tobytes())
-        if sum(self._repeats) != len(self._stamps_ns) or min(self._repeats, default=1) < 1:
-            raise ArgumentError(
-                "repeats", f"positive numbers of {len(self._stamps_ns)} scans in all", sum(self._repeats)
-            )
-        if self._keys:
-            self._steps = self._keys[-1] + 1
-            self._last = (self._online[-3:] + self._key_from_base[-3:]).tolist()
+        self._steps = self._keys[-1] + 1 if self._keys else 0
         return self
 
     @property
     def keys(self) -> IntArray:
         """Index of the key scan at or before each scan, from 0: (N,) int64."""
-        return np.repeat(_as_integers(self._keys), self._repeats)
+        return _as_integers(self._keys)
 
     @property
     def key_scans(self) -> IntArray:
@@ -108,12 +85,11 @@ class TrajectoryRecorder:
     @property
     def key_from_base(self) -> FloatArray:
         """Tracked motion of each scan since its key scan: (N, 3) float64."""
-        return np.repeat(_as_poses(self._key_from_base), self._repeats, axis=0)
+        return _as_poses(self._key_from_base)
 
     def online_trajectory(self) -> Trajectory:
         """Return the online trajectory: the pose of the best particle at each scan."""
-        poses = np.repeat(_as_poses(self._online), self._repeats, axis=0)
-        return Trajectory(_as_integers(self._stamps_ns), poses)
+        return Trajectory(_as_integers(self._stamps_ns), _as_poses(self._online))
 
     def best_trajectory(self, state: GridFastSlamState) -> Trajectory:
         """Return the path of the best particle of `state`, a pose for every scan: the filter's full-SLAM estimate."""
@@ -237,7 +213,7 @@ class StatisticsRecorder:
         self._key_seconds.frombytes(read_array(arrays, "key_seconds", np.float64, ("key scans",), sizes).tobytes())
         counts = read_array(arrays, "counts", np.int64, (4 + len(SkipReason),))
         COUNT.require("counts", counts, {})
-        self._particles = int(read_array({"particles": np.array(0), **arrays}, "particles", np.int64, ()))
+        self._particles = int(read_array(arrays, "particles", np.int64, ()))
         self._resamplings, self._lost, self._degenerate, self._corrections, *skipped = counts.tolist()
         self._skipped = Counter({reason: n for reason, n in zip(SkipReason, skipped, strict=True) if n})
         return self

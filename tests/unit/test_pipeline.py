@@ -88,7 +88,7 @@ def test_recorder_survives_arrays(measurements, slam):
     broken = recorder.to_arrays() | {"online": np.zeros((3, 3))}
     with pytest.raises(ArgumentError, match="online: expected float64"):
         TrajectoryRecorder.from_arrays(broken)
-    with pytest.raises(ArgumentError, match="an array named repeats"):
+    with pytest.raises(ArgumentError, match="an array named keys"):
         TrajectoryRecorder.from_arrays({"stamps_ns": np.zeros(1, np.int64)})
 
 

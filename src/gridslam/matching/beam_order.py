@@ -26,14 +26,10 @@ class BeamOrder(NamedTuple):
     scans: float = 0.0
     at_once: float = 0.0  # sum over scans of what the inlier ratio gains if the beams were measured at once
     backward: float = 0.0  # ... and in the reverse order
-    squares: float = 0.0  # sum of the squares of the latter
 
     def add(self, in_order: float, at_once: float, backward: float) -> BeamOrder:
         """Add the inlier ratios of one scan."""
-        gain = backward - in_order
-        return BeamOrder(
-            self.scans + 1, self.at_once + (at_once - in_order), self.backward + gain, self.squares + gain * gain
-        )
+        return BeamOrder(self.scans + 1, self.at_once + (at_once - in_order), self.backward + (backward - in_order))
 
     def learn(self, beams: Beams, twist: FloatArray, inlier_ratio: Callable[[Beams], float]) -> BeamOrder:
         """Add a scan taken at the velocity `twist` (3,); unchanged if it has no beam times or the robot hardly turned.

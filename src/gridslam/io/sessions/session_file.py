@@ -34,7 +34,7 @@ from gridslam.slam.full_slam.full_trajectory import TrackedScans
 from gridslam.slam.grid_fastslam.state import GridFastSlamState
 from gridslam.slam.loop_closure.map_piece import MapPiece
 
-SESSION_SCHEMA = "gridslam.session/3"
+SESSION_SCHEMA = "gridslam.session/4"
 _WHAT = "a session of gridslam"
 
 
@@ -155,7 +155,6 @@ class SavedSession:
             "written": self.written,
             "seed": self.seed,
             "configuration": dumps(self.configuration),
-            "job": "",  # unused; readers of this schema expect it
             "pieces": [[_describe(drive) for drive in piece.drives] for piece in self.pieces],
             "run": None,
         }
