@@ -136,7 +136,7 @@ class _Waiting:
 
 def _count(node: NodeSession, measurements: Iterable[Measurement]) -> Iterator[Measurement]:
     for measurement in measurements:
-        node._log.count(measurement)
+        node.log.count(measurement)
         yield measurement
 
 

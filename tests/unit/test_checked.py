@@ -183,7 +183,13 @@ UNCHECKED = (
     *("gridslam.Conversion", "gridslam.GridResult", "gridslam.LandmarkLocalizationResult", "gridslam.LandmarkResult"),
     *("gridslam.LocalizationResult", "gridslam.StepReport", "localization.LocalizationReport", "sim.SimulatedLog"),
     *("evaluation.RelationErrors", "evaluation.SelfConsistency", "matching.LatticeMatch"),
-    *("slam.ProposedPoses", "types.StoredScan", "sim.Change", "types.StepReport"),  # all these the package itself makes
+    *(
+        "slam.ProposedPoses",
+        "types.StoredScan",
+        "sim.Change",
+        "types.StepReport",
+        "types.OwnedState",
+    ),  # all these the package itself makes
     *("geometry.angles.wrap", "sim.vary_route", "gridslam.run", "types.require_measurement"),
     "geometry.se2.rotate_covariances",  # check by themselves, or serve the package alone
 )

@@ -44,11 +44,14 @@ def repeat_pose(count: int, pose: ArrayLike) -> FloatArray:
     return np.tile(mean, (count, 1))
 
 
-def copy_poses(particles: ArrayLike, least: int = 0) -> FloatArray:
+def copy_poses(particles: object, least: int = 0, expected: str = "finite poses of shape (N, 3)") -> FloatArray:
     """Copy finite poses (N, 3) of particles, N >= `least`, theta wrapped; raises ArgumentError for anything else."""
-    poses = freeze(particles, np.float64, (None, 3), "particles").copy()
-    if len(poses) < least or not np.isfinite(poses).all():
-        raise ArgumentError("particles", f"{least} or more finite poses (N, 3)", describe(particles))
+    try:
+        poses = np.array(particles, np.float64)
+    except (TypeError, ValueError):
+        poses = np.empty(0)
+    if poses.ndim != 2 or poses.shape[1] != 3 or len(poses) < least or not np.isfinite(poses).all():
+        raise ArgumentError("particles", expected, describe(particles))
     poses[:, 2] = wrap(poses[:, 2])
     return poses
 

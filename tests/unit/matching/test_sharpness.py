@@ -97,7 +97,7 @@ def test_a_scan_teaches_the_order_if_it_has_times_and_the_robot_turns():
         return 0.1 * len(seen)
 
     order = BeamOrder().learn(beams, fast, inlier_ratio)
-    assert order == pytest.approx((1.0, 0.1, 0.2, 0.04))
+    assert order == pytest.approx((1.0, 0.1, 0.2))
     for ends, sign in zip(seen, (1, 0, -1), strict=True):
         np.testing.assert_array_equal(ends, beams.deskew(sign * fast).ends)
     assert order.learn(beams, np.array([0.2, 0.0, 0.19]), inlier_ratio) is order  # 0.019 rad in a scan

@@ -139,7 +139,8 @@ class GridFastSlam:
         require_measurement(odometry, scan)
         particles = self.particles if particles is None else particles
         is_count = isinstance(particles, int | np.integer)
-        poses = repeat_pose(int(particles), pose) if is_count else copy_poses(particles, least=1)
+        expected = "a number, or finite poses of shape (N, 3)"
+        poses = repeat_pose(int(particles), pose) if is_count else copy_poses(particles, 1, expected)
         beams = self._select(scan)
         tracker = self.tracker.init(odometry, scan.stamp_ns, beams, self.mapper)
         maps = self.mapper.empty(len(poses), self.threads)
