@@ -47,7 +47,7 @@ def repeat_pose(count: int, pose: ArrayLike) -> FloatArray:
 def copy_poses(particles: object, least: int = 0, expected: str = "finite poses of shape (N, 3)") -> FloatArray:
     """Copy finite poses (N, 3) of particles, N >= `least`, theta wrapped; raises ArgumentError for anything else."""
     try:
-        poses = np.array(particles, np.float64)
+        poses: FloatArray = np.array(particles, np.float64)
     except (TypeError, ValueError):
         poses = np.empty(0)
     if poses.ndim != 2 or poses.shape[1] != 3 or len(poses) < least or not np.isfinite(poses).all():
