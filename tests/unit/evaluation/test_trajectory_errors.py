@@ -178,7 +178,7 @@ def test_agrees_with_the_published_scorer(data_dir, seed):
     columns[:, 2:4], columns[:, 7] = relations.poses[:, :2], relations.poses[:, 2]
     expected = scorer.score(trajectory.stamps_ns[order] / SECOND, trajectory.poses[order], columns)
     got = asdict(relation_errors(trajectory, relations))
-    assert list(got) == list(expected)
+    assert expected.keys() == got.keys() - {"trans_rmse_m", "rot_rmse_deg"}
     assert 0.5 < got["exact"] < 0.9
     for name, value in expected.items():
         assert got[name] == pytest.approx(value, abs=1e-9), name
