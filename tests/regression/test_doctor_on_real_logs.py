@@ -53,7 +53,7 @@ def test_ranges_of_which_no_map_can_be_built_are_named(data_dir, name, due):
 def test_ranges_in_feet_are_named_by_the_motion(data_dir):
     (found,) = diagnose(open_log(data_dir / "hostile/ranges_in_feet.csv.gz")).faults
     assert found.code == "odometry_scale"
-    assert "the ranges are in feet" in found.remedy
+    assert "the ranges are in feet" in found.message
 
 
 def test_no_ranges_of_good_logs_are_implausible(data_dir):

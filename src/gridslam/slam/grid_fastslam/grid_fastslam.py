@@ -217,9 +217,10 @@ class GridFastSlam:
         """
         control = tracked.control
         motion = self.motion(np.array(between(state.key_pose, control.pose)))
-        scans = state.tracked_scans
+        unmatched = state.tracker.unmatched
+        is_measured = not (unmatched.position_m2 or unmatched.open_covariance.any())
+        scans = state.tracked_scans if is_measured else 1
         if control.variances is not None:
-            scans = 1
             wide = add_noise(motion, np.diag(np.take(control.variances, [0, 0, 1])))
             motion = SearchingMotion(wide, state.maps, self.sensor(tracked.beams), tracked.beams.ends)
         return MotionOfAll(motion, state.best, scans, control.common_variances)

@@ -70,7 +70,7 @@ class MotionOfAll:
     The best one, which is reported and mapped, is no sample: its draw is the mean, which holds its match. The others
     spread as their motion is drawn, and follow their maps: where a loop closes one of them fits better, and is the best
     from then on. An error that is common to all (variances in m^2 and rad^2) is left to the match. Where `scans` were
-    tracked since the last key scan the motion is known that much better, up to four times: its noise is that of one.
+    matched since the last key scan the motion is known that much better, up to four times: its noise is that of one.
     """
 
     motion: MotionSampler
