@@ -217,9 +217,7 @@ class GridFastSlam:
         """
         control = tracked.control
         motion = self.motion(np.array(between(state.key_pose, control.pose)))
-        unmatched = state.tracker.unmatched
-        is_measured = not (unmatched.position_m2 or unmatched.open_covariance.any())
-        scans = state.tracked_scans if is_measured else 1
+        scans = 1 if state.tracker.unmatched.position_m2 else state.tracked_scans  # unless each of them was matched
         if control.variances is not None:
             wide = add_noise(motion, np.diag(np.take(control.variances, [0, 0, 1])))
             motion = SearchingMotion(wide, state.maps, self.sensor(tracked.beams), tracked.beams.ends)

@@ -20,8 +20,8 @@ _WIDER = 2.0
 _LEAST_KNOWN = 0.75
 """Ratio of beams that end in known cells from which on a map decides; else new walls would be laid on old ones."""
 
-_MOST_SCANS = 4
-"""More scans do not hold the best particle more firmly: errors of matches to the same surfaces are alike."""
+_MOST_MATCHES = 4
+"""Two scans count as one match, and more than eight no more: errors of matches to the same surfaces are alike."""
 
 _FREEDOM = 4e5
 """Covariances of the motion are so much larger where matches are to follow the map: it holds next to nothing."""
@@ -70,7 +70,7 @@ class MotionOfAll:
     The best one, which is reported and mapped, is no sample: its draw is the mean, which holds its match. The others
     spread as their motion is drawn, and follow their maps: where a loop closes one of them fits better, and is the best
     from then on. An error that is common to all (variances in m^2 and rad^2) is left to the match. Where `scans` were
-    matched since the last key scan the motion is known that much better, up to four times: its noise is that of one.
+    matched since the last key scan the motion is known better than that of a single one, up to four times.
     """
 
     motion: MotionSampler
@@ -92,5 +92,5 @@ class MotionOfAll:
         if len(poses) == 1:
             return means, covariances
         freedom = np.full((len(poses), 1, 1), _FREEDOM)
-        freedom[self.best] = 1.0 / min(self.scans, _MOST_SCANS)
+        freedom[self.best] = 1.0 / min(max(self.scans // 2, 1), _MOST_MATCHES)
         return means, covariances * freedom
