@@ -217,7 +217,8 @@ class GridFastSlam:
         """
         control = tracked.control
         motion = self.motion(np.array(between(state.key_pose, control.pose)))
-        scans = 1 if state.tracker.unmatched.position_m2 else state.tracked_scans  # unless each of them was matched
+        is_measured = control.common_variances is None and not state.tracker.unmatched.position_m2
+        scans = state.tracked_scans if is_measured else 1  # where each was matched, and none far from the one before
         if control.variances is not None:
             wide = add_noise(motion, np.diag(np.take(control.variances, [0, 0, 1])))
             motion = SearchingMotion(wide, state.maps, self.sensor(tracked.beams), tracked.beams.ends)
