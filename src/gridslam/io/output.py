@@ -19,6 +19,8 @@ from typing import IO, Any, cast, final
 from gridslam.errors import ArgumentError, OutputError
 
 _LAST = "run.json"
+_RANDOM = "[!.]" * 8
+"""Pattern of the part that `tempfile` draws: .NAME.2.XXXXXXXX.partial belongs to NAME.2."""
 
 
 def require_writable(path: Path, *, is_folder: bool) -> None:
@@ -47,7 +49,7 @@ def _new_staging(parent: Path, name: str) -> TemporaryDirectory[str]:
 
 def remove_abandoned(folder: Path, name: str = "") -> None:
     """Remove the temporary folders of killed processes: those of NAME, or of all names."""
-    for left in folder.glob(f".{escape(name) or '*'}.*.partial"):
+    for left in folder.glob(f".{escape(name) or '*'}.{_RANDOM}.partial"):
         shutil.rmtree(left, ignore_errors=True)
 
 

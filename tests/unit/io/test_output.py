@@ -10,7 +10,7 @@ import pytest
 
 from gridslam.errors import OutputError
 from gridslam.io import output
-from gridslam.io.output import OutputFolder, write_atomically
+from gridslam.io.output import OutputFolder, remove_abandoned, write_atomically
 
 
 def listing(folder):
@@ -119,3 +119,14 @@ def test_a_link_to_nothing_is_no_folder(tmp_path):
     for out in (tmp_path / "out", tmp_path / "out" / "below"):
         with pytest.raises(OutputError, match="out is a link to nothing"), OutputFolder(out):
             pytest.fail("the context must not be entered")
+
+
+def test_what_a_killed_process_has_left_is_removed_by_its_name(tmp_path):
+    """A job of a batch that fails takes nothing from one that runs beside it, whose name begins alike."""
+    for name in ("run", "run.2", "other"):
+        (tmp_path / f".{name}.abcdefg8.partial").mkdir()
+    (tmp_path / "run").mkdir()
+    remove_abandoned(tmp_path, "run")
+    assert {path.name for path in tmp_path.iterdir()} == {".run.2.abcdefg8.partial", ".other.abcdefg8.partial", "run"}
+    remove_abandoned(tmp_path)
+    assert [path.name for path in tmp_path.iterdir()] == ["run"]
