@@ -213,14 +213,14 @@ def _make_jobs(command: str, prepared: Sequence[tuple[Entry, tuple[str, ...], Ma
         key = compute_key(command, describe(entry.path), parameters)
         every = ("--max-memory", str(max_memory_bytes() / 1e9), command, entry.path, *words)
         every += ("--no-history",) * (command != "doctor")
-        scoring = () if entry.reference is None else make_scoring(entry.reference, values["options"])
+        scoring = () if entry.reference is None else (entry.reference, *scoring_options(values["options"]))
         jobs.append(Job(every, entry.log, entry.name, key, command, scoring=scoring))
     return jobs
 
 
-def make_scoring(reference: str, options: Mapping[str, Any]) -> tuple[str, ...]:
-    """Return the words after TRAJECTORY of `gridslam evaluate` for a run on the part of a log that options choose."""
-    return (reference, "--part") if options["duration_s"] is not None or options["start_s"] > 0 else (reference,)
+def scoring_options(options: Mapping[str, Any]) -> tuple[str, ...]:
+    """Return the options of `gridslam evaluate` for a run on the part of a log that these options choose."""
+    return ("--part",) if options["duration_s"] is not None or options["start_s"] > 0 else ()
 
 
 def _measure(path: str) -> int:

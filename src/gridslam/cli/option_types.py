@@ -90,7 +90,6 @@ class _TargetFolder(_Target):
 
 
 PATH = _Path()
-LOG = PATH
 OUT = OUTPUT_FOLDER = _TargetFolder()
 OUTPUT_FILE = _Target()
 SECONDS = Number(max=_MOST_S)

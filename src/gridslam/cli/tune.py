@@ -15,7 +15,7 @@ from gridslam.api.evaluation import is_log
 from gridslam.batch.engine import run_jobs
 from gridslam.batch.job import Job
 from gridslam.batch.manifest import find_logs
-from gridslam.cli.batch import make_scoring, require_journal
+from gridslam.cli.batch import require_journal, scoring_options
 from gridslam.cli.options import MapOptions, to_words
 from gridslam.cli.output import counted, open_display, print_result, stop_if_interrupted
 from gridslam.errors import InputError
@@ -81,7 +81,7 @@ def run_tune(logs: Sequence[str], out: Path, given: MapOptions, tune: TuneOption
         tune.judging_seeds,
         ("--repair", given.repair, *to_words(given.options)),
         ("--max-memory", str(max_memory_bytes() / 1e9)),
-        make_scoring("", given.options.to_dict())[1:],
+        scoring_options(given.options.to_dict()),
         given.threads,
     )
     with open_display(not as_json) as display:

@@ -11,17 +11,15 @@ from typing import TypeAlias, final
 import numpy as np
 
 from gridslam.doctor.finding import Finding, Severity, percent
+from gridslam.doctor.views import are_changed
 from gridslam.io.measurement import Measurement
 from gridslam.types import BeamStatus, LaserScan
 
 _WINDOW_S = 1.0
-_STILL = 0.01  # m, and rad, in a second: slower than any robot drives, more than encoders flicker
-_CHANGED_M = 0.1  # change of a range above noise, and
-_CHANGED_SHARE = 0.02  # of the range
+_STILL = 0.01  # m, and rad, more than encoders flicker; in a second slower than any robot drives
 _FEWEST_BEAMS = 20
 _FROZEN_WINDOWS = 3  # a shorter stop of the wheels' messages is what matching is for
 _FROZEN_SHARE = 0.1  # of the time: from here on the map is unusable
-_STILL_M = 0.01  # between scans: more than encoders flicker
 _NEVER_MOVED = 0.5  # m, and rad
 _LEAP_M = 1.0  # between scans, and faster than any robot with wheels that maps by a planar laser:
 _LEAP_RAD = 1.0
@@ -75,7 +73,7 @@ class OdometryExaminer:
             self._first_ns = stamp_ns
         moved, turned = _motion(before, place)
         seconds = max((stamp_ns - last_ns) * 1e-9, _LEAST_S)
-        if moved > _STILL_M:
+        if moved > _STILL:
             self._speeds.append(moved / seconds)
         if moved > max(_LEAP_M, _LEAP_M_S * seconds) or turned > max(_LEAP_RAD, _LEAP_RAD_S * seconds):
             self._jumps.append(((stamp_ns - self._first_ns) * 1e-9, moved, turned))
@@ -85,8 +83,7 @@ class OdometryExaminer:
 
     def _note_window(self, scan: LaserScan, place: _Place) -> None:
         """Compare odometry and ranges with those of a second ago."""
-        start, first = self._window or (place, scan)
-        self._window = self._window or (place, scan)
+        self._window = start, first = self._window or (place, scan)
         seconds = (scan.stamp_ns - first.stamp_ns) * 1e-9
         if seconds >= _WINDOW_S and scan.sensor == first.sensor:
             self._window = (place, scan)
@@ -159,13 +156,11 @@ class OdometryExaminer:
 
 
 def _is_changed(before: LaserScan, after: LaserScan) -> bool:
-    """Return whether most beams with two hits have other ranges; people who pass change fewer."""
+    """Return whether most beams with two hits have other ranges."""
     if len(before) != len(after):
         return False
     both = (before.status == BeamStatus.HIT) & (after.status == BeamStatus.HIT)
-    old = before.ranges[both]
-    changed = np.abs(after.ranges[both] - old) > _CHANGED_M + _CHANGED_SHARE * old
-    return len(old) >= _FEWEST_BEAMS and 2 * int(changed.sum()) > len(old)
+    return int(np.count_nonzero(both)) >= _FEWEST_BEAMS and are_changed(before.ranges[both], after.ranges[both])
 
 
 def _motion(before: _Place, after: _Place) -> tuple[float, float]:

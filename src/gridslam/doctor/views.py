@@ -56,7 +56,7 @@ class View:
         """Return whether more than half of the ranges are others than before, beam by beam and by the turn of both."""
         if len(self.scan) != len(before.scan) or len(self.scan) < 2:
             return True
-        return _is_changed(before.measured, self.measured) and self._is_changed_by_more_than_turn(before)
+        return are_changed(before.measured, self.measured) and self._is_changed_by_more_than_turn(before)
 
     def _is_changed_by_more_than_turn(self, before: View) -> bool:
         """Compare each beam with the one that looked that way before the robot turned, of beams at equal steps."""
@@ -66,7 +66,7 @@ class View:
         beams = len(self.scan)
         shift = round(turn / step) if abs(turn) < abs(step) * beams else 0
         was = before.measured[max(shift, 0) : beams + min(shift, 0)]
-        return _is_changed(was, self.measured[max(-shift, 0) : beams - max(shift, 0)])
+        return are_changed(was, self.measured[max(-shift, 0) : beams - max(shift, 0)])
 
     def differs_from(self, before: PolarScan, pose: FloatArray) -> float:
         """How badly the scan agrees with one from before; NaN or infinite where they have too little in common."""
@@ -88,5 +88,6 @@ class View:
         return bool(low < -_SIDE and high > _SIDE)
 
 
-def _is_changed(was: FloatArray, now: FloatArray) -> bool:
+def are_changed(was: FloatArray, now: FloatArray) -> bool:
+    """Return whether more than half of ranges (B,) are others than before; people who pass change fewer."""
     return bool(np.count_nonzero(np.abs(now - was) > _CHANGED_M + _CHANGED * was) > _MOST_CHANGED * len(now))

@@ -10,7 +10,6 @@ from typing import Annotated, Any, final
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from scipy.ndimage import distance_transform_edt
 
 from gridslam.arguments import Limits
 from gridslam.checked import checked
@@ -250,6 +249,8 @@ class KnownMap:
 
 def _distances_within(occupied: NDArray[np.bool_], reach: int) -> NDArray[np.float32]:
     """Distances in cells (H, W) to the nearest occupied cell, `reach` at most; some rows at a time, for the memory."""
+    from scipy.ndimage import distance_transform_edt  # only who localizes pays for its import
+
     found = np.full(occupied.shape, reach, np.float32)
     for first in range(0, len(occupied), _BAND):
         low = max(first - reach, 0)

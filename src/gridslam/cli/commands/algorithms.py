@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import click
 
-from gridslam.cli.option_types import LOG, OUT, PATH, SECONDS, Number
+from gridslam.cli.option_types import OUT, PATH, SECONDS, Number
 from gridslam.cli.options import (
     calls,
     history_option,
@@ -21,7 +21,7 @@ from gridslam.cli.options import (
 
 
 @click.command("landmarks")
-@click.argument("log", type=LOG)
+@click.argument("log", type=PATH)
 @out_option
 @click.option(
     "--method",
@@ -61,7 +61,7 @@ def landmarks_command() -> None:
 
 
 @click.command("grid")
-@click.argument("log", type=LOG)
+@click.argument("log", type=PATH)
 @click.option("--trajectory", type=PATH, required=True, help="Trajectory of the robot, a file in TUM format.")
 @out_option
 @click.option(
@@ -108,7 +108,7 @@ def grid_command() -> None:
 
 
 @click.command("localize")
-@click.argument("log", type=LOG)
+@click.argument("log", type=PATH)
 @click.option("-o", "--out", type=OUT, help="Output folder; created if missing.")
 @localize_options
 @live_options

@@ -6,12 +6,12 @@ from pathlib import Path
 
 import click
 
-from gridslam.cli.option_types import LOG, OUT, OUTPUT_FILE, OUTPUT_FOLDER, SEED, TIME_LIMIT, Number
+from gridslam.cli.option_types import OUT, OUTPUT_FILE, OUTPUT_FOLDER, PATH, SEED, TIME_LIMIT, Number
 from gridslam.cli.options import calls, json_option, log_options
 
 
 @click.command("doctor")
-@click.argument("log", type=LOG)
+@click.argument("log", type=PATH)
 @click.option("-o", "--out", type=OUT, help="Folder for the report; created if missing.")
 @log_options
 @json_option
@@ -24,7 +24,7 @@ def doctor_command() -> None:
 
 
 @click.command("convert")
-@click.argument("log", metavar="IN", type=LOG)
+@click.argument("log", metavar="IN", type=PATH)
 @click.argument("out", type=OUTPUT_FILE)
 @log_options
 @json_option

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import click
 
-from gridslam.cli.option_types import LOG, OUT, OUTPUT_FILE, OUTPUT_FOLDER, PATH, SEED
+from gridslam.cli.option_types import OUT, OUTPUT_FILE, OUTPUT_FOLDER, PATH, SEED
 from gridslam.cli.options import (
     calls,
     history_option,
@@ -44,7 +44,7 @@ class _MapCommand(click.Command):
 
 
 @click.command("map", cls=_MapCommand)
-@click.argument("log", type=LOG)
+@click.argument("log", type=PATH)
 @out_option
 @map_options
 @session_options
