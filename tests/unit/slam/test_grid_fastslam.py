@@ -252,3 +252,34 @@ def test_those_of_most_weight_stay(drive, play):
     assert len(parents) == count
     assert len(stay) < count
     assert weights[stay].min() >= np.delete(weights, stay).max()
+
+
+class _NotingProposal:
+    """The default proposal, which notes how many scans hold the best particle."""
+
+    def __init__(self):
+        self.scans = []
+
+    def __call__(self, maps, poses, motion, *rest):
+        self.scans.append(motion.scans)
+        return ScanMatchedProposal()(maps, poses, motion, *rest)
+
+
+def test_the_best_particle_is_held_by_the_scans_since_the_last_key_scan(drive, play):
+    """Not where one of them fits nowhere: then a prediction is in between, and the key scan's match counts alone."""
+    noting = _NotingProposal()
+    _, reports = play(GridFastSlam(proposal=noting), drive.measurements[:80])
+    keys = np.flatnonzero([report.skipped is None for report in reports])
+    assert noting.scans == np.diff(keys).tolist()
+    assert max(noting.scans) > 2
+
+    longest = int(np.argmax(np.diff(keys)))
+    measurements = list(drive.measurements[:80])
+    odometry, scan = measurements[keys[longest] + 1]
+    noise = np.random.default_rng(0).uniform(0.5, 9.0, len(scan))
+    measurements[keys[longest] + 1] = odometry, replace(scan, ranges=noise)
+    blind = _NotingProposal()
+    _, reports = play(GridFastSlam(proposal=blind), measurements)
+    key = int(np.flatnonzero(keys > keys[longest])[0])
+    assert [report.skipped for report in reports[: keys[key]]].count(None) == key
+    assert blind.scans[: longest + 1] == [*noting.scans[:longest], 1]
