@@ -1,5 +1,6 @@
 """A repaired log is the log without its fault, and what needs no repair is left alone."""
 
+import math
 import re
 from dataclasses import replace
 
@@ -9,7 +10,7 @@ import pytest
 from gridslam.api.mapping import map_log
 from gridslam.config import Configuration
 from gridslam.doctor import Doctor
-from gridslam.doctor.calibration import calibrate
+from gridslam.doctor.calibration import are_degrees, calibrate
 from gridslam.doctor.motion_findings import motion_findings
 from gridslam.doctor.repair import (
     Repair,
@@ -20,6 +21,7 @@ from gridslam.doctor.repair import (
     repair_measurements,
 )
 from gridslam.evaluation import absolute_errors
+from gridslam.geometry.angles import wrap
 from gridslam.io.csv import write_csv_log
 from gridslam.observers import TrajectoryRecorder
 from gridslam.pipeline import run
@@ -117,9 +119,15 @@ def changed(measurements, change):
     return [m._replace(odometry=replace(m.odometry, pose=change(m.odometry.pose))) for m in measurements]
 
 
+def read_as_degrees(pose):
+    """A heading in degrees that is taken for rad."""
+    return np.array([*pose[:2], wrap(math.degrees(pose[2]))])
+
+
 @pytest.mark.parametrize(
     ("change", "problem", "code"),
     [
+        (read_as_degrees, "headings of the odometry look like degrees", "odometry_units"),
         (
             lambda pose: pose * [1 / 0.3048, 1 / 0.3048, 1],
             "more distance than the laser measures, over .* m: it is in feet",
@@ -152,3 +160,13 @@ def test_a_laser_and_an_odometry_that_are_right_are_not_told_of():
     list(healthy)
     assert not healthy.disagreement
     assert not healthy.statistics.remarks
+
+
+def test_degrees_are_told_by_turns_that_are_no_rad():
+    """Turns of 6.39 degrees, from scan to scan, are alike as both."""
+    laser = np.full(200, math.tau / (math.degrees(1.0) - 1))
+    assert not are_degrees(laser, laser)
+    assert not are_degrees(laser[:5] * 50, laser[:5])
+    slower = np.random.default_rng(0).normal(0.05, 0.03, 200)
+    assert are_degrees(wrap(np.degrees(slower)), slower)
+    assert not are_degrees(slower, slower)
