@@ -15,7 +15,7 @@ from gridslam.arguments import freeze, require_array, require_instance
 from gridslam.checked import checked
 from gridslam.errors import ArgumentError
 from gridslam.geometry.angles import wrap
-from gridslam.geometry.se3 import from_planar
+from gridslam.geometry.rigid import matrix_of_planar
 from gridslam.parameters import bounded, parameters
 
 FloatArray = NDArray[np.float64]
@@ -78,7 +78,7 @@ class ScanGeometry:
     @classmethod
     def planar(cls, bearings: ArrayLike, base_from_laser: ArrayLike) -> ScanGeometry:
         """Geometry of a laser mounted level at the planar pose `base_from_laser` (3,) = [x m, y m, theta rad]."""
-        return cls(bearings, from_planar(freeze(base_from_laser, np.float64, (3,), "base_from_laser")))
+        return cls(bearings, matrix_of_planar(freeze(base_from_laser, np.float64, (3,), "base_from_laser")))
 
 
 _LITTLE = 1 / 3  # of a scan's beams

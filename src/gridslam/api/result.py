@@ -154,7 +154,7 @@ class ScanResult(Result):
     repair: Repair
 
     def describe_faults(self) -> Iterator[str]:
-        """Yield what is wrong with the log, a sentence each."""
+        """Yield the faults of the log, a sentence each."""
         for fault in self.repair.describe():
             yield f"{fault}: corrected before mapping (disable with --repair none; details: gridslam doctor)"
         yield from self.log.remarks
