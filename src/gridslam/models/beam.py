@@ -89,7 +89,7 @@ class BeamRangeFinder:
         ranges = np.minimum(ranges, self.range_max_m)
         seen = ndtr(expected / sigma)  # the Gaussian's mass at positive ranges, at least 1/2
         beyond = ndtr((expected - self.range_max_m) / sigma) / seen
-        no_return = self.z_max + self.z_hit * beyond
+        no_return: FloatArray = self.z_max + self.z_hit * beyond
         hit = np.exp(-0.5 * np.square((ranges - expected) / sigma)) / (math.sqrt(math.tau) * sigma * seen)
         rate = self.lambda_short_per_m
         before = np.clip(expected, 1e-6, self.range_max_m)
