@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from functools import cache
 from typing import final
 
 import numpy as np
@@ -13,6 +14,17 @@ from gridslam.parameters import bounded, parameters
 from gridslam.types import Beams, BeamStatus, DistanceMaps, FloatArray, Rows, ScanLikelihood
 
 _REACH = 6.0  # standard deviations beyond which a Gaussian's tail, 1e-9, counts as nothing
+
+
+def _normal_cdf(scores: FloatArray | float) -> FloatArray:
+    """Return standard normal distribution function, by linear interpolation in a table: within 2e-7."""
+    return np.asarray(np.interp(scores, *_tabulate_normal_cdf()))
+
+
+@cache
+def _tabulate_normal_cdf() -> tuple[FloatArray, FloatArray]:
+    scores = np.linspace(-_REACH, _REACH, 4801)
+    return scores, np.array([0.5 * math.erfc(-score / math.sqrt(2)) for score in scores])
 
 
 @final
@@ -83,13 +95,11 @@ class BeamRangeFinder:
         (...) float64
             Densities in 1/m for ranges below `range_max_m`, probabilities for the others.
         """
-        from scipy.special import ndtr  # only who uses this model pays for its import
-
         sigma = self.sigma_hit_m
         ranges = np.minimum(ranges, self.range_max_m)
-        seen = ndtr(expected / sigma)  # the Gaussian's mass at positive ranges, at least 1/2
-        beyond = ndtr((expected - self.range_max_m) / sigma) / seen
-        no_return: FloatArray = self.z_max + self.z_hit * beyond
+        seen = _normal_cdf(expected / sigma)  # the Gaussian's mass at positive ranges, at least 1/2
+        beyond = _normal_cdf((expected - self.range_max_m) / sigma) / seen
+        no_return = self.z_max + self.z_hit * beyond
         hit = np.exp(-0.5 * np.square((ranges - expected) / sigma)) / (math.sqrt(math.tau) * sigma * seen)
         rate = self.lambda_short_per_m
         before = np.clip(expected, 1e-6, self.range_max_m)

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-import io
 import math
+import struct
+import zlib
 from dataclasses import dataclass
 from typing import Protocol, final, runtime_checkable
 
@@ -62,16 +63,10 @@ class OccupancyGrid:
 
     def _repr_png_(self) -> bytes | None:
         """Picture for notebooks: occupied is black, free white, unknown grey, the first row at the bottom."""
-        from PIL import Image  # only a notebook pays for its import
-
         if not self.known.size:
             return None
         levels = np.where(self.known, np.clip(255 * (1 - self.probability), 0, 255), np.inf)
-        shrunk = _darkest(levels)
-        pixels = np.where(np.isinf(shrunk), _UNKNOWN, shrunk).astype(np.uint8)[::-1]
-        file = io.BytesIO()
-        Image.fromarray(pixels).save(file, "png")
-        return file.getvalue()
+        return encode_grey(np.where(np.isinf(shrunk := _darkest(levels)), _UNKNOWN, shrunk).astype(np.uint8)[::-1])
 
     @property
     def shape(self) -> tuple[int, int]:
@@ -126,3 +121,19 @@ def _darkest(levels: FloatArray) -> FloatArray:
     height, width = (side // block for side in padded.shape)
     least: FloatArray = padded.reshape(height, block, width, block).min(axis=(1, 3))
     return least
+
+
+def encode_grey(pixels: NDArray[np.uint8]) -> bytes:
+    """PNG of brightnesses (H, W), both at least 1, the first row at the top.
+
+    Source: PNG specification, third edition, sections 5.2 to 5.6, 9.2 and 11.2.
+    """
+    height, width = pixels.shape
+    lines = np.pad(pixels, [(0, 0), (1, 0)])  # each line begins with its filter: 0, none
+    header = struct.pack(">IIBBBBB", width, height, 8, 0, 0, 0, 0)
+    chunks = (b"IHDR", header), (b"IDAT", zlib.compress(lines.tobytes())), (b"IEND", b"")
+    return b"\x89PNG\r\n\x1a\n" + b"".join(_chunk(kind, data) for kind, data in chunks)
+
+
+def _chunk(kind: bytes, data: bytes) -> bytes:
+    return struct.pack(">I", len(data)) + kind + data + struct.pack(">I", zlib.crc32(kind + data))
