@@ -158,7 +158,7 @@ def test_a_scan_without_a_valid_beam_does_not_say_in_which_order_beams_are_measu
     state = mcl.init_gaussian(log.truth.poses[0], SPREAD, rng)
     first, scan = log.measurements[0]
     state, _ = mcl.step(state, first, scan, rng)
-    odometry = Odometry(first.stamp_ns + 100_000_000, first.pose + [0, 0, 0.2])
+    odometry = Odometry(first.stamp_ns + 100_000_000, first.pose + np.array([0, 0, 0.2]))
     blind = np.full(len(scan), BeamStatus.NO_RETURN, np.uint8)
     times = np.linspace(0, 0.15, len(scan))
     turned = LaserScan(odometry.stamp_ns, scan.ranges, blind, scan.geometry, beam_times_s=times)
