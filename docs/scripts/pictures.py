@@ -222,7 +222,7 @@ def landmarks() -> None:
 def small_copy(name: str, drawn: str, *command: str) -> None:
     """Run a command of gridslam, and keep the picture that it draws, smaller."""
     with tempfile.TemporaryDirectory() as folder:
-        subprocess.run([sys.executable, "-m", "gridslam.cli.main", *command, "-o", folder], check=True)
+        subprocess.run([sys.executable, "-m", "gridslam", *command, "-o", folder], check=True)
         keep(name, Image.open(Path(folder) / drawn), 760)
 
 
@@ -312,7 +312,7 @@ def gridslam(command: str, *arguments: str | Path) -> None:
     given = [str(argument) for argument in arguments]
     options = [word for word in given if word.startswith("--")]
     *inputs, out = [word for word in given if not word.startswith("--")]
-    subprocess.run([sys.executable, "-m", "gridslam.cli.main", command, *inputs, "-o", out, *options], check=True)
+    subprocess.run([sys.executable, "-m", "gridslam", command, *inputs, "-o", out, *options], check=True)
 
 
 PICTURES = (

@@ -264,7 +264,9 @@ _MAP_OPTIONS = (
     seed_option,
     threads_option,
     click.option("--preset", default="default", show_default=True, help="Preset: default or gmapping."),
-    click.option("--laser", metavar="NAME", help="Laser model; sets range limits and resolution (listed by gridslam map --help)."),
+    click.option(
+        "--laser", metavar="NAME", help="Laser model; sets range limits and cells (listed by gridslam map --help)."
+    ),
     click.option("--config", type=PATH, help="TOML file with parameters; overrides the preset."),
     assignment_option(help="Set one parameter (listed by gridslam map --help)."),
     click.option("--no-loop-closure", is_flag=True, help="Disable loop closure."),
