@@ -16,7 +16,7 @@ from pathlib import Path
 
 import numpy as np
 from animations_of_parts import bayes_filter, resampling_wheel
-from drives import drive, extent, mapped
+from drives import drive, extent, mapped, pasts
 from film import FRAME_MS, HOLD_MS, Film
 from numpy.typing import NDArray
 from panels import ORANGE, VIOLET, Chart, Panel
@@ -79,7 +79,7 @@ def particles_at_a_loop() -> None:
         resampled = report.parents is not None
         if len(told) % 2 and not resampled and not 86 < len(told) < 100:
             return
-        paths = state.ancestry.trajectories()
+        paths = pasts(state)
         whole = Panel(f"key scan {len(told)}{', resampled' if resampled else ''}", (x0, y0, x1, y1), 240)
         whole.grid(state.maps.occupancy(state.best))
         for path in paths:
