@@ -21,6 +21,10 @@ _GATES = ((2.0, 0.1), (5.0, 0.1), (12.0, 0.3))
 """Standard deviations of the odometry within which is searched, one gate after the other, and by so much more of the
 beams a place must agree than the best one within the gates before."""
 
+_LEAST_INLIER_RATIO = 0.4
+"""Inlier ratio above which gains count where scans come seldom, but from near each other, and so see much of the same:
+a place within the widest gate must be certain."""
+
 _CERTAIN_INLIER_RATIO = 0.7
 """Inlier ratio above which a place is accepted without further search."""
 
@@ -138,9 +142,10 @@ class OdometrySearch:
             return _refine(state, as_pose(place.pose), predicted, beams, matcher)
 
         is_blind = self.had_blind_gap(state, predicted)
+        least = _LEAST_INLIER_RATIO if state.mean_step < self.sparse_step else 0.0
         for gate, gain in _GATES[:1] if is_blind else _GATES:
             found = find(_WINDOW, gate / _WINDOW.gate_sigmas * np.array([sigma_m, sigma_m, sigma_rad]))
-            if found is not None and found.inlier_ratio > best.inlier_ratio + gain:
+            if found is not None and found.inlier_ratio > max(best.inlier_ratio, least) + gain:
                 best = found
             if best.inlier_ratio >= _CERTAIN_INLIER_RATIO:
                 return best

@@ -91,7 +91,7 @@ def test_what_changes_the_trajectory_is_compared_with_it(monkeypatch, places, he
         return candidate(name, 0.0, recognized)
 
     def adjust(refinement, one):
-        told = -5.0 if one.name == "filter" else likelihood + int(one.name[-1]) - 1
+        told = -5.0 if one.name == "filter" else (likelihood or 0.0) + int(one.name[-1]) - 1
         refinement.adjusted[one.name] = adjusted(one, told)
         return refinement.adjusted[one.name]
 
@@ -102,6 +102,7 @@ def test_what_changes_the_trajectory_is_compared_with_it(monkeypatch, places, he
     refinement = begin()
     assert refinement.select(np.zeros((2, 3))).name == best
     assert len(names) == searches
+    assert ("filter" in refinement.adjusted) == (likelihood is not None)
     assert taken[1:] == ([list(kept)] if kept else [])
     assert refinement.closure_state.rejected[RejectionReason.IMPLAUSIBLE] == (len(places) - len(kept) if kept else 0)
 

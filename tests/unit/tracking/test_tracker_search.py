@@ -267,3 +267,19 @@ def test_after_a_blind_gap_a_place_beyond_twice_the_odometrys_error_is_not_belie
             found[is_blind] += not place.lost and (away(place.pose, pose) < FAR).all()
     assert found[True] == 0
     assert found[False] > 0.5 * len(states)
+
+
+def test_a_place_far_from_the_odometry_must_be_certain_where_scans_come_seldom_but_near_each_other(sparse, states):
+    """Sixteen standard deviations off, with fewer beams than 0.7: scans far from each other share no more.
+
+    A robot that drives through a door slowly sees little that is mapped, and elsewhere half of it fits.
+    """
+    believed = {0.2: [], 0.5: []}
+    scans = list(overgrown(sparse, 0.35))[15:]
+    for (state, *_, pose), (_, scan) in zip(states, scans, strict=True):
+        for step_m, ratios in believed.items():
+            known = replace(state, period_s=0.6, mean_step=step_m)
+            place = SEARCH(known, predicted_off(pose, 0.5), scan.beams(0.05, 30.0), MATCHER)
+            ratios.append(place.inlier_ratio)
+    assert not any(0 < ratio < 0.7 for ratio in believed[0.2])
+    assert np.mean([0 < ratio < 0.7 for ratio in believed[0.5]]) > 0.3

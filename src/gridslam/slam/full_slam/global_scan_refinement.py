@@ -404,8 +404,9 @@ class _Refinement:
         What fits is no constraint, but where surfaces are matched from.
         """
         known = best.constraints
+        adjusted = replace(best, graph=self.adjust(best).graph)
         self.graph.constraints = known
-        self.graph.correct(SOLVER.solve(self._graph(best.graph.poses, known)).poses)
+        self.graph.correct(adjusted.graph.poses)
         found = propose_revisits(
             self.closure_state, self.stretches, self.mapper, self.closure, self.on_progress, self.searched
         )
@@ -413,8 +414,7 @@ class _Refinement:
             return None
         poses = SOLVER.solve(self._graph(best.graph.poses, [*found, *known])).poses
         closed = self._keep_trajectory("revisits", poses, best.recognized_constraints)
-        is_there = _moved_m(closed, replace(best, graph=self.adjust(best).graph)) <= _AGREE_M
-        return None if is_there else closed
+        return None if _moved_m(closed, adjusted) <= _AGREE_M else closed
 
     def _optimize(self, name: str, poses: FloatArray, constraints: list[Constraint]) -> Candidate:
         """Make a candidate of the tracked motion and constraints, beginning at poses (T, 3)."""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from itertools import groupby
 
 import numpy as np
 
@@ -69,16 +70,22 @@ def propose_revisits(
     stretches.cut(graph, scans, mapper, LENGTH_M, STEP_M, is_over=True)
     poses = np.array(graph.poses)
     wanted = _select_searches(graph, [it for it in stretches.submaps if it.anchor >= searched], closure)
+    wanted = wanted[:: max(1, -(-len(wanted) // _MOST_SEARCHES))]
+    way = graph.driven_m()
     found: list[Constraint] = []
-    for search, keys in wanted[:: max(1, -(-len(wanted) // _MOST_SEARCHES))]:
-        on_progress()
+    for _, neighbours in groupby(wanted, key=lambda it: way[it[0].submap.anchor] // LENGTH_M):
+        searches, older = zip(*neighbours, strict=True)
+        keys = older[len(older) // 2]  # one map for all of them
+        keys = keys[way[searches[0].submap.anchor] - way[keys] > closure.recognition.apart_m]
         known = KnownMap(scans, poses, keys, build_map(mapper, scans, keys, poses[keys]))
-        hits = search.run(graph, MapSearch(known.maps))
-        alignment = Alignment(closure_state, mapper, closure.places, search.submap.keys, known)
-        hypotheses = [alignment.lay_component(group) for group in group_hits(graph, hits)[:_MAX_HYPOTHESES]]
-        best = max(hypotheses, key=lambda it: it.evidence, default=None)
-        if best is not None and not alignment.is_left_open(best):
-            found += alignment.constrain_as_one(best)
+        map_search = MapSearch(known.maps)
+        for search in searches:
+            on_progress()
+            alignment = Alignment(closure_state, mapper, closure.places, search.submap.keys, known)
+            groups = group_hits(graph, search.run(graph, map_search))[:_MAX_HYPOTHESES]
+            best = max(map(alignment.lay_component, groups), key=lambda it: it.evidence, default=None)
+            if best is not None and not alignment.is_left_open(best):
+                found += alignment.constrain_as_one(best)
     return found
 
 

@@ -162,7 +162,8 @@ def _blur(image: NDArray[np.float32], sigma: float) -> NDArray[np.float32]:
     weights = np.exp(-0.5 * np.square(np.arange(-reach, reach + 1) / sigma))
     weights /= weights.sum()
     for _ in ("down", "across"):
-        padded = np.pad(image, [(reach, reach), (0, 0)])
+        padded = np.zeros((len(image) + 2 * reach, image.shape[1]), np.float32)
+        padded[reach:-reach] = image
         blurred = np.float32(weights[reach]) * image
         for k in range(1, reach + 1):
             both = padded[reach - k : -reach - k] + padded[reach + k : len(padded) - reach + k]

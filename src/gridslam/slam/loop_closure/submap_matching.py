@@ -183,20 +183,25 @@ def poses_of_pairs(old: SubmapFeatures, new: SubmapFeatures, pairs: IntArray, mo
     a = old.points[pairs[:, 0]]
     b = new.points[pairs[:, 1]]
     turns = wrap(old.headings[pairs[:, 0]] - new.headings[pairs[:, 1]])
-    first, second = np.triu_indices(len(pairs), 1)
-    in_old = a[second] - a[first]
-    in_new = b[second] - b[first]
-    length = np.hypot(*in_old.T)
+    apart_m = _distances(a)
+    is_same = np.abs(apart_m - _distances(b)) < _SAME_M
+    first, second = np.nonzero(np.triu(is_same & (apart_m > _LEAST_BASE_M)))
+    in_old, in_new = a[second] - a[first], b[second] - b[first]
     headings = wrap(np.arctan2(in_old[:, 1], in_old[:, 0]) - np.arctan2(in_new[:, 1], in_new[:, 0]))
-    fits = (np.abs(length - np.hypot(*in_new.T)) < _SAME_M) & (length > _LEAST_BASE_M)
-    for end in (first, second):
-        fits &= np.abs(wrap(headings - turns[end])) < _SAME_RAD
+    fits = np.abs(wrap(headings - turns[first])) < _SAME_RAD
+    fits &= np.abs(wrap(headings - turns[second])) < _SAME_RAD
     chosen = np.flatnonzero(fits)
     chosen = chosen[:: max(1, -(-len(chosen) // most))]
     first, second = first[chosen], second[chosen]
     poses = np.column_stack([np.zeros((len(chosen), 2)), headings[chosen]])
     poses[:, :2] = 0.5 * (a[first] + a[second]) - transform_points(poses, 0.5 * (b[first] + b[second]))
     return poses
+
+
+def _distances(points: FloatArray) -> FloatArray:
+    """Distances (K, K) of points (K, 2) from each other."""
+    x, y = (np.subtract.outer(along, along) for along in points.T)
+    return np.asarray(np.sqrt(x * x + y * y))
 
 
 def _is_near(pose: FloatArray, other: FloatArray) -> bool:
