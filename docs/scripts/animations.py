@@ -157,7 +157,7 @@ def kidnapping() -> None:
 def closure() -> None:
     """A map bent by odometry while the laser was covered, and what is left of the bend when the loop is closed."""
     bad = OdometryNoise(turn_scale=0.85, bias_rad_per_m=0.02)
-    log = drive("demo", 3, bad, LidarConfig(rate_hz=4.0, beams=90))
+    log = drive("demo", 4, bad, LidarConfig(rate_hz=4.0, beams=90))
     measurements = list(log.measurements)
     for k in range(110, 140):  # the laser is covered for 7.5 s
         scan = measurements[k].scan
