@@ -33,8 +33,8 @@ TIERS = {
 }
 """Tests of another tier than the default, by where they are."""
 
-FIXTURES = {"data_dir": "real_logs", "store": "dev", "web": "dev", "mirror": "dev"}
-"""The same by what they take: real logs, and servers whose clients are libraries of the extra dev."""
+FIXTURES = {"data_dir": "real_logs", "mirror": "dev"}
+"""The same by what they take: real logs, and a server of logs."""
 
 
 IGNORED: dict[int, Any] = {signal.SIGINT: signal.default_int_handler}
@@ -61,6 +61,17 @@ def pytest_xdist_make_scheduler(config: pytest.Config, log: object) -> object:
     from xdist.scheduler import WorkStealingScheduling
 
     return WorkStealingScheduling(config, log) if config.getoption("dist") == "load" else None
+
+
+def pytest_ignore_collect(collection_path: Path, config: pytest.Config) -> bool | None:
+    """Leave out the files that have no test of the tier asked for: to collect them all takes each process 10 s."""
+    tier = config.option.markexpr
+    if collection_path.suffix != ".py" or tier not in (*TIERS, *FIXTURES.values()):
+        return None
+    path = collection_path.relative_to(TESTS).as_posix()
+    by_path = any(path.startswith(own.partition("::")[0]) for own in TIERS.get(tier, ()))
+    text = collection_path.read_text(encoding="utf-8")
+    return None if by_path or any(of == tier and name in text for name, of in FIXTURES.items()) else True
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:

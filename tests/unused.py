@@ -34,4 +34,4 @@ writeable, comment, compress_type, max_size, should_exit  # NumPy, zipfile, webs
     surplus,
     runner_up_pose,
 )  # read together with others
-to_planar, read_trajectory_csv  # offered to callers
+read_trajectory_csv  # offered to callers

@@ -15,7 +15,7 @@ from gridslam.arguments import freeze, require_array, require_instance
 from gridslam.checked import checked
 from gridslam.errors import ArgumentError
 from gridslam.geometry.angles import wrap
-from gridslam.geometry.se3 import from_planar
+from gridslam.geometry.rigid import matrix_of_planar
 from gridslam.parameters import bounded, parameters
 
 FloatArray = NDArray[np.float64]
@@ -78,7 +78,7 @@ class ScanGeometry:
     @classmethod
     def planar(cls, bearings: ArrayLike, base_from_laser: ArrayLike) -> ScanGeometry:
         """Geometry of a laser mounted level at the planar pose `base_from_laser` (3,) = [x m, y m, theta rad]."""
-        return cls(bearings, from_planar(freeze(base_from_laser, np.float64, (3,), "base_from_laser")))
+        return cls(bearings, matrix_of_planar(freeze(base_from_laser, np.float64, (3,), "base_from_laser")))
 
 
 _LITTLE = 1 / 3  # of a scan's beams
@@ -220,6 +220,10 @@ def _reach_m(ends: FloatArray, origin: FloatArray) -> float:
 _TINY = float(np.finfo(np.float64).tiny)
 
 
+_SPACING_M = 0.025
+"""Arc for which one beam of a dense scan is taken; half a cell of 5 cm, so that every cell of a wall is still hit."""
+
+
 @final
 @parameters(frozen=True)
 class Thinning:
@@ -229,14 +233,11 @@ class Thinning:
 
     Parameters
     ----------
-    spacing_m : float, m, >= 0
-        Arc for which one beam is taken; half a cell of 5 cm, so that every cell of a wall is still hit. 0 takes all.
     dense_beams : int, >= 1
         A scan of more usable beams is dense, and about as many are kept at least: a turn of whole degrees, or half a
-        one of half degrees, has no more, and is used as it is.
+        one of half degrees, has no more, and is used as it is. A number that no scan reaches takes all.
     """
 
-    spacing_m: float = bounded(0.025, ge=0, le=1e4)
     dense_beams: int = bounded(400, ge=1, le=1_000_000)
 
     def __call__(self, ranges: FloatArray, widths: FloatArray) -> NDArray[np.bool_] | None:
@@ -249,10 +250,10 @@ class Thinning:
         widths : (K,) float64, rad
             Angle between each beam of these and the one before it in the scan.
         """
-        if not self.spacing_m or len(ranges) <= self.dense_beams:
+        if len(ranges) <= self.dense_beams:
             return None
         arc = np.cumsum(widths * ranges)
-        part = np.floor(arc / max(min(self.spacing_m, arc[-1] / self.dense_beams), _TINY))
+        part = np.floor(arc / max(min(_SPACING_M, arc[-1] / self.dense_beams), _TINY))
         first = np.empty(len(part), bool)
         first[0] = True
         np.not_equal(part[1:], part[:-1], out=first[1:])

@@ -78,16 +78,16 @@ def test_json_is_all_that_is_printed(call, log, truth, tmp_path):
     assert (status, err) == (0, "")
     document = json.loads(text)
     assert document == json.loads((tmp_path / "out" / "run.json").read_text())
-    assert (document["model"], document["half_life_scans"]) == ("counting", None)
+    assert document["model"] == "counting"
 
 
 def test_options_reach_the_map(call, log, truth, tmp_path):
-    how = ("--decay", 20, "--resolution", 0.1, "--max-gap", 5, "--threads", 2, "--every", 3, "--repair", "none")
+    how = ("--resolution", 0.1, "--max-gap", 5, "--threads", 2, "--every", 3, "--repair", "none")
     how = (*how, "--no-deskew")
     status, text, _ = call(log, "--trajectory", truth, "-o", tmp_path, "--json", *how)
     document = json.loads(text)
     assert status == 0
-    assert (document["half_life_scans"], document["configuration"]["resolution_m"]) == (20.0, 0.1)
+    assert document["configuration"]["resolution_m"] == 0.1
     assert (document["trajectory"]["max_gap_s"], document["scans"]["used"], document["deskew"]) == (5.0, 40, False)
     assert read_map(tmp_path / "map.yaml").resolution_m == 0.1
     status, text, _ = call(log, "--trajectory", truth, "-o", tmp_path, "--json", "--laser", "hokuyo-urg-04lx")
@@ -134,7 +134,6 @@ def test_beams_are_deskewed_by_the_trajectory(log, truth, simulated, monkeypatch
     ("how", "problem"),
     [
         (("--trajectory", "nowhere.tum"), "nowhere.tum: no such file"),
-        (("--decay", "0"), "--decay: expected a number of scans above 0"),
         (("--resolution", "0"), "--resolution: expected above 0, at most 1 m, got 0.0"),
         (("--max-gap", "-1"), "--max-gap: expected a finite time above 0 s, got -1.0"),
         (("--laser", "sick"), "laser: expected sick-lms"),

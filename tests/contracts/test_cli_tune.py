@@ -2,8 +2,10 @@
 
 import json
 import re
+import shlex
 import shutil
 import sys
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -14,54 +16,66 @@ from gridslam.config import Configuration, load, override
 from gridslam.geometry.se2 import between
 from gridslam.io.trajectories import read_trajectory
 
-START = override(Configuration(), "particles=2", "loop_closure=false")
+PAGE = (Path(__file__).parents[2] / "docs" / "tuning.md").read_text(encoding="utf-8")
+SHOWN = PAGE[PAGE.index("$ gridslam simulate rooms -o one.clf") :].partition("```")[0]
+START = override(Configuration(), "particles=3")
 FEW = "--particles", "2", "--trials", "3", "--judging-seeds", "2", "--no-loop-closure"
 
 
 @pytest.fixture(scope="module")
-def logs(tmp_path_factory):
+def shown():
+    """The commands of the page: two logs are simulated, a search, and a map by its configuration."""
+    simulated, other, tuned, mapped = (shlex.split(line) for line in re.findall(r"^\$ gridslam (.*)$", SHOWN, re.M))
+    return [simulated, other], tuned, mapped
+
+
+@pytest.fixture(scope="module")
+def logs(shown, tmp_path_factory):
     folder = tmp_path_factory.mktemp("logs")
-    for seed in (1, 2):
-        path = folder / f"log{seed}.clf"
-        assert (
-            main(["simulate", "rooms", "-o", str(path), "--seed", str(seed), "--duration", "8", "--beams", "60"]) == 0
-        )
+    with pytest.MonkeyPatch.context() as patch:
+        patch.chdir(folder)
+        for command in shown[0]:
+            assert main(command) == 0
     return folder
 
 
-@pytest.fixture
-def tuned(logs, tmp_path):
-    out = tmp_path / "best.toml"
-    arguments = [str(logs / "log1.clf"), "--held-out", str(logs / "log2.clf"), "-o", str(out), *FEW]
-    assert main(["tune", *arguments, "--json"]) == 0
-    return out, arguments
-
-
-def test_it_writes_a_configuration_and_a_document(tuned, logs, monkeypatch):
+def test_it_writes_a_configuration_and_a_document(shown, logs, tmp_path, monkeypatch, capsys):
     """And an interrupted search goes on to the same bytes and does nothing twice.
 
     An interrupt leaves the rows and folders of what was done; here two trials are not yet.
     """
-    out, arguments = tuned
+    _, arguments, mapped = shown
+    monkeypatch.chdir(tmp_path)
+    for log in logs.iterdir():
+        shutil.copy(log, tmp_path)
+    capsys.readouterr()
+    assert main(arguments) == 0
+    told = capsys.readouterr().out
+    assert [line for line in SHOWN.splitlines() if not line.startswith(("$", "..."))] == [
+        line for line in told.splitlines() if line.startswith(("tried", "best.toml"))
+    ]
+    shutil.copy("one.clf", mapped[1])
+    assert main(mapped) == 0
+    out = tmp_path / "best.toml"
     folder = out.with_suffix(".tune")
     document = json.loads((folder / "tune.json").read_text())
     assert document["schema"] == "gridslam.tuning/4"
     assert [log["held_out"] for log in document["logs"]] == [False, True]
-    assert document["logs"][0]["reference"] == str(logs / "log1.truth.tum")
+    assert document["logs"][0]["reference"] == str(tmp_path / "one.truth.tum")
     assert len(document["trials"]) == 3
-    assert (document["start"]["particles"], document["start"]["loop_closure"]) == (2, {"kind": "none"})
+    assert document["start"]["particles"] == 3
     configuration = load(out)
-    assert configuration.particles == 2
+    assert configuration.particles == 3
     assert document["recommended"] is (configuration != START)
     if document["comparison"]:
         assert document["comparison"]["observations"] == 2
-        assert {pair["log"] for pair in document["pairs"]} == {"log2"}
+        assert {pair["log"] for pair in document["pairs"]} == {"other"}
     assert (folder / "runs.sqlite").is_file()
 
     before = out.read_bytes(), (folder / "tune.json").read_bytes()
     out.unlink()
     (folder / "tune.json").unlink()
-    for removed in sorted(folder.glob("log1-*"))[:2]:
+    for removed in sorted(folder.glob("one-*"))[:2]:
         shutil.rmtree(removed)
     rows = []
     original = tune_module.run_jobs
@@ -76,10 +90,10 @@ def test_it_writes_a_configuration_and_a_document(tuned, logs, monkeypatch):
         return found
 
     monkeypatch.setattr(tune_module, "run_jobs", interrupted)
-    assert main(["tune", *arguments]) == 130
+    assert main(arguments) == 130
     assert not out.exists()
     monkeypatch.setattr(tune_module, "run_jobs", recorded)
-    assert main(["tune", *arguments]) == 0
+    assert main(arguments) == 0
     assert (out.read_bytes(), (folder / "tune.json").read_bytes()) == before
     assert sum(not row["resumed"] for row in rows) == 2
 
@@ -97,7 +111,7 @@ def test_it_writes_a_configuration_and_a_document(tuned, logs, monkeypatch):
 )
 def test_bad_input_is_one_line_and_nothing_is_written(logs, tmp_path, capsys, words, expected):
     out = tmp_path / "best.toml"
-    named = [str(logs / "log1.clf") if word == "LOG" else word for word in words]
+    named = [str(logs / "one.clf") if word == "LOG" else word for word in words]
     assert main(["tune", "-o", str(out), *named, "--particles", "2"]) == 2
     error = capsys.readouterr().err
     assert re.search(re.escape(expected), error), error
@@ -129,8 +143,8 @@ def test_relations_count_within_the_time_that_is_read(tmp_path, capsys):
 
 def test_a_log_is_no_reference(logs, tmp_path, capsys):
     out = tmp_path / "best.toml"
-    other = str(logs / "log2.clf")
-    assert main(["tune", str(logs / "log1.clf"), "-o", str(out), "--reference", other, *FEW]) == 2
+    other = str(logs / "other.clf")
+    assert main(["tune", str(logs / "one.clf"), "-o", str(out), "--reference", other, *FEW]) == 2
     error = capsys.readouterr().err
     assert f"{other}: expected a trajectory or relations, got a log\n" in error
     assert error.count("\n") == 1
@@ -138,13 +152,13 @@ def test_a_log_is_no_reference(logs, tmp_path, capsys):
 
 def test_a_place_that_cannot_be_written_is_bad_usage(logs, tmp_path, capsys):
     (tmp_path / "best.tune").touch()
-    assert main(["tune", str(logs / "log1.clf"), "-o", str(tmp_path / "best.toml"), *FEW]) == 2
+    assert main(["tune", str(logs / "one.clf"), "-o", str(tmp_path / "best.toml"), *FEW]) == 2
     place = tmp_path / "best.tune" / "runs.sqlite"
     assert capsys.readouterr().err == f"gridslam: {place}: cannot be written: File exists\n"
 
 
 def test_without_the_library_the_extra_is_named_before_anything_runs(logs, tmp_path, capsys, monkeypatch):
     monkeypatch.setitem(sys.modules, "optuna", None)
-    assert main(["tune", str(logs / "log1.clf"), "-o", str(tmp_path / "best.toml")]) == 1
+    assert main(["tune", str(logs / "one.clf"), "-o", str(tmp_path / "best.toml")]) == 1
     assert "pip install 'gridslam[tune]'" in capsys.readouterr().err
     assert list(tmp_path.iterdir()) == []

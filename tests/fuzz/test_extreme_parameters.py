@@ -18,7 +18,7 @@ def test_every_number_has_a_least_and_a_greatest_value():
 def test_the_extremes_reach_every_part():
     names = {number.name for number in numbers()}
     assert names >= {"particles", "motion.sigma_xy_m", "mapper.resolution_m", "proposal.matcher.halvings"}
-    assert names >= {"loop_closure.drift.sigma_m_per_sqrt_m", "tracker.velocity.sigma_mps"}
+    assert names >= {"loop_closure.drift.sigma_m_per_sqrt_m", "tracker.velocity.speed_mps"}
     assert len(cases()) > 10 * len(names)
     assert {str(value) for _, value in cases()} >= {str(math.nan), str(math.inf), "1e-300", "1e+300", "-1"}
 

@@ -7,8 +7,9 @@ stays below 1e-12 of that.
 import numpy as np
 import pytest
 
-from gridslam.geometry import rigid, se3
+from gridslam.geometry import rigid
 from gridslam.transforms import Coverage, MissingTransform, TransformBuffer
+from support import se3
 
 S = 1_000_000_000
 FRAMES = 12

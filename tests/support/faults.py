@@ -16,9 +16,10 @@ from typing import Final, NamedTuple
 
 import numpy as np
 
-from gridslam.geometry import se2, se3
+from gridslam.geometry import se2
 from gridslam.io.measurement import Measurement
 from gridslam.types import BeamStatus, FloatArray, LaserScan, Odometry, ScanGeometry
+from support import se3
 
 _CEILING_M = 2.5
 _SIGMA_RANGE_M = 0.01

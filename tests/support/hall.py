@@ -21,7 +21,7 @@ from gridslam.slam.loop_closure.submap_recognition import SubmapRecognition
 from gridslam.types import BeamEnds
 
 MAPPER = OccupancyGridMapping()
-PLACES = PlaceMatching(recent_submaps=3, max_distance_m=10.0, min_overlap=0.6, inlier_ratio=0.75)
+PLACES = PlaceMatching(max_distance_m=10.0, inlier_ratio=0.75)
 RECOGNITION = SubmapRecognition(length_m=20.0, step_m=5.0, apart_m=30.0, certain_sigma_m=0.1)
 """For a lap of 56 m, whatever the tuning."""
 DOUBTFUL = DriftModel(sigma_m_per_sqrt_m=0.06, sigma_rad_per_sqrt_m=0.005)

@@ -41,12 +41,11 @@ def told(poses: np.ndarray, scale: float, turn_scale: float, drift: float) -> np
     """Odometry (K, 3) of a robot at poses (K, 3), with headings that are not wrapped."""
     metres = np.hypot(*np.diff(poses[:, :2], axis=0).T)
     turns = np.diff(poses[:, 2])
-    found = [np.zeros(3)]
-    for way, turn in zip(scale * metres, turn_scale * turns + drift * metres, strict=True):
-        found.append(compose(found[-1], exp([way, 0.0, turn])))
-    odometry = np.array(found)
-    odometry[:, 2] = np.unwrap(odometry[:, 2])
-    return odometry
+    x, y, turn = exp(np.stack([scale * metres, np.zeros(len(turns)), turn_scale * turns + drift * metres], axis=1)).T
+    heading = np.concatenate([[0.0], np.cumsum(turn)])
+    c, s = np.cos(heading[:-1]), np.sin(heading[:-1])
+    way = np.cumsum([c * x - s * y, s * x + c * y], axis=1)
+    return np.column_stack([np.insert(way, 0, 0.0, axis=1).T, heading])
 
 
 def perfect(

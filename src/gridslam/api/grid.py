@@ -12,14 +12,13 @@ from typing import Any, ClassVar, Literal, TypeAlias, final
 import numpy as np
 
 from gridslam import __version__
-from gridslam.api.result import Result, describe_input, find_repair
+from gridslam.api.result import ScanResult, find_repair
 from gridslam.arguments import require_instance, require_threads
 from gridslam.checked import checked
 from gridslam.config import Configuration, apply_laser, override
-from gridslam.doctor.repair import Repair, open_repaired
+from gridslam.doctor.repair import open_repaired
 from gridslam.errors import ArgumentError, InputError
 from gridslam.io.log import Log, LogOptions, LogSource
-from gridslam.io.log_statistics import LogStatistics
 from gridslam.io.maps import write_map
 from gridslam.io.output import OutputFolder
 from gridslam.io.text import compute_digest
@@ -40,8 +39,8 @@ GridModel: TypeAlias = Literal["bayes", "counting"]
 
 
 @final
-@dataclass(frozen=True, slots=True, eq=False, repr=False)
-class GridResult(Result):
+@dataclass(frozen=True, slots=True, eq=False, repr=False, kw_only=True)
+class GridResult(ScanResult):
     """The map of a log by a known trajectory, and how it came about.
 
     Attributes
@@ -53,23 +52,12 @@ class GridResult(Result):
         Scans that are not in the map, by reason.
     model : str
         "bayes" or "counting".
-    half_life_scans : float or None
     max_gap_s : float
     deskew : bool
     configuration : Configuration
         Of which the mapper and the limits of the ranges were used.
-    log : LogStatistics
-        What was met in the log.
-    source : Path
-        The log.
-    digest : str
-        Its SHA-256.
     given : Trajectory
         The trajectory as it was given, and the file it came from, if any, in `given_path`.
-    repair : Repair
-        What was taken out of the log.
-    stopwatch : Stopwatch
-        Time spent; saving adds to it.
     """
 
     schema: ClassVar = "gridslam.grid/1"
@@ -80,17 +68,11 @@ class GridResult(Result):
     trajectory: Trajectory
     unplaced: Counter[NoPoseReason]
     model: str
-    half_life_scans: float | None
     max_gap_s: float
     deskew: bool
     configuration: Configuration
-    log: LogStatistics
-    source: Path
-    digest: str
     given: Trajectory
     given_path: Path | None
-    repair: Repair
-    stopwatch: Stopwatch
 
     @property
     def covariances(self) -> None:
@@ -99,10 +81,9 @@ class GridResult(Result):
     def caption(self) -> list[str]:
         """Return lines that describe the map."""
         height, width = (side * self.map.resolution_m for side in self.map.known.shape)
-        fading = "" if self.half_life_scans is None else f", half-life {self.half_life_scans:g} scans"
         name = {"bayes": "binary Bayes filter", "counting": "counting model"}[self.model]
         return [
-            f"{len(self.trajectory)} scans with known poses: {name}{fading}",
+            f"{len(self.trajectory)} scans with known poses: {name}",
             f"{width:.0f} m x {height:.0f} m in cells of {100 * self.map.resolution_m:g} cm",
             f"{self.stopwatch.total()[0]:.1f} s: gridslam {__version__}",
         ]
@@ -121,9 +102,8 @@ class GridResult(Result):
         height, width = (side * grid.resolution_m for side in grid.known.shape)
         return {
             "model": self.model,
-            "half_life_scans": self.half_life_scans,
             "deskew": self.deskew,
-            "input": describe_input(self.source, self.digest, log, self.repair)
+            "input": self.describe_input()
             | {"truncated": log.truncated, "sensors": list(log.mountings), "remarks": dict(log.remarks)},
             "trajectory": {
                 "path": None if self.given_path is None else os.fspath(self.given_path),
@@ -154,7 +134,6 @@ def map_with_poses(
     trajectory: str | Path | Trajectory,
     *,
     model: GridModel = "bayes",
-    half_life_scans: float | None = None,
     max_gap_s: float = 1.0,
     deskew: bool = True,
     resolution_m: float | None = None,
@@ -180,9 +159,6 @@ def map_with_poses(
         Poses of the robot's base in the map frame; a path names a file in TUM format.
     model : "bayes" or "counting"
         Inverse sensor model with log-odds, or reflection probability per cell (see `bayes_map` and `counting_map`).
-    half_life_scans : float, optional
-        Number of scans observing a cell after which the weight of a scan is halved, so that moving objects fade; no
-        decay if not given (see `BeamCounts`).
     max_gap_s : float, s, > 0
         Between poses of the trajectory farther apart in time nothing is interpolated.
     deskew : bool
@@ -226,7 +202,7 @@ def map_with_poses(
     given = trajectory if isinstance(trajectory, Trajectory) else read_trajectory(trajectory)
     _check_size(given, path, config)
     poses = KnownPoses(given, max_gap_s)
-    counts = BeamCounts(config.mapper.resolution_m, half_life_scans, threads)
+    counts = BeamCounts(config.mapper.resolution_m, threads)
     watch.lap("start")
     used, unplaced = _count(source, poses, counts, config, deskew, on_progress)
     watch.lap("count")
@@ -237,7 +213,6 @@ def map_with_poses(
         trajectory=used,
         unplaced=unplaced,
         model=model,
-        half_life_scans=half_life_scans,
         max_gap_s=max_gap_s,
         deskew=deskew,
         configuration=config,

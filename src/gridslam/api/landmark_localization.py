@@ -41,7 +41,7 @@ _NEAR = np.diag([0.1**2, 0.1**2, 0.1**2])
 
 
 @final
-@dataclass(frozen=True, slots=True, eq=False, repr=False)
+@dataclass(frozen=True, slots=True, eq=False, repr=False, kw_only=True)
 class LandmarkLocalizationResult(ResultByLandmarks):
     """Online trajectory of the robot in a known landmark map.
 

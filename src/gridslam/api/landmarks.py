@@ -120,7 +120,7 @@ class LandmarkEstimate(NamedTuple):
     figures: dict[str, Any]
 
 
-@dataclass(frozen=True, slots=True, eq=False, repr=False)
+@dataclass(frozen=True, slots=True, eq=False, repr=False, kw_only=True)
 class ResultByLandmarks(Result):
     """Base of the results of landmark mapping and landmark localization.
 
@@ -135,8 +135,6 @@ class ResultByLandmarks(Result):
         Measurement and motion model, and what else the method has.
     digest : str
         SHA-256 of the log's file.
-    stopwatch : Stopwatch
-        Time spent; saving adds to it.
     """
 
     picture_name: ClassVar = "landmarks.png"
@@ -147,7 +145,6 @@ class ResultByLandmarks(Result):
     log: LandmarkLog
     models: dict[str, Any]
     digest: str
-    stopwatch: Stopwatch
 
     @property
     def source(self) -> Path:
@@ -182,7 +179,7 @@ class ResultByLandmarks(Result):
 
 
 @final
-@dataclass(frozen=True, slots=True, eq=False, repr=False)
+@dataclass(frozen=True, slots=True, eq=False, repr=False, kw_only=True)
 class LandmarkResult(ResultByLandmarks):
     """Trajectory and landmark map of a log.
 

@@ -13,13 +13,12 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from gridslam import __version__
-from gridslam.api.result import Result, describe_input, find_repair, write_trajectory
+from gridslam.api.result import ScanResult, find_repair, write_trajectory
 from gridslam.arguments import describe, require_instance, require_seed, require_threads
 from gridslam.checked import checked
-from gridslam.doctor.repair import Repair, open_repaired
+from gridslam.doctor.repair import open_repaired
 from gridslam.errors import ArgumentError, InputError
 from gridslam.io.log import Log, LogOptions, LogSource
-from gridslam.io.log_statistics import LogStatistics
 from gridslam.io.maps import read_map
 from gridslam.io.measurement import Measurement
 from gridslam.io.output import OutputFolder
@@ -71,8 +70,8 @@ class LocalizationInterval(NamedTuple):
 
 
 @final
-@dataclass(frozen=True, slots=True, eq=False, repr=False)
-class LocalizationResult(Result):
+@dataclass(frozen=True, slots=True, eq=False, repr=False, kw_only=True)
+class LocalizationResult(ScanResult):
     """A robot's way in a known map, and how it was found.
 
     Attributes
@@ -90,20 +89,10 @@ class LocalizationResult(Result):
         Initial pose; None for global localization.
     seed, threads : int
         As given.
-    log : LogStatistics
-        What was met in the log.
-    source, map_path : Path
-        The log, and the map's YAML file or, for a map that was given as such, an empty path.
-    digest : str
-        SHA-256 of the log.
+    map_path : Path
+        The map's YAML file or, for a map that was given as such, an empty path.
     remarks : tuple of str
         What is odd about the map's file.
-    repair : Repair
-        What was taken out of the log.
-    stopwatch : Stopwatch
-        Time spent; saving adds to it.
-    failures : tuple of str
-        Scans at which the filter failed, which were skipped.
     """
 
     schema: ClassVar = "gridslam.localization/2"
@@ -118,14 +107,8 @@ class LocalizationResult(Result):
     pose: FloatArray | None
     seed: int
     threads: int
-    log: LogStatistics
-    source: Path
     map_path: Path
-    digest: str
     remarks: tuple[str, ...]
-    repair: Repair
-    stopwatch: Stopwatch
-    failures: tuple[str, ...] = ()
 
     @property
     def trajectory(self) -> Trajectory:
@@ -203,7 +186,7 @@ class LocalizationResult(Result):
             "seed": self.seed,
             "threads": self.threads,
             "input": {
-                **describe_input(self.source, self.digest, self.log, self.repair),
+                **self.describe_input(),
                 "map": os.fspath(self.map_path),
                 "map_remarks": list(self.remarks),
                 "odometry_length_m": float(self.driven_m[-1]),

@@ -16,7 +16,7 @@ import numpy as np
 from gridslam import __version__
 from gridslam.api.beginning import Beginning, begin_new_piece
 from gridslam.api.peak_memory import find_peak_memory_bytes
-from gridslam.api.result import Result, describe_input, find_repair, write_trajectory
+from gridslam.api.result import ScanResult, find_repair, write_trajectory
 from gridslam.arguments import require_instance, require_seed, require_threads
 from gridslam.checked import checked
 from gridslam.config import Configuration, apply_laser, build
@@ -78,8 +78,8 @@ class FoundAgain:
 
 @final
 @checked
-@dataclass(frozen=True, slots=True, eq=False, repr=False)
-class MapResult(Result):
+@dataclass(frozen=True, slots=True, eq=False, repr=False, kw_only=True)
+class MapResult(ScanResult):
     """Map and trajectory of a log, and how they came about.
 
     Attributes
@@ -104,22 +104,10 @@ class MapResult(Result):
         Bytes of all particles' maps then.
     statistics : RunStatistics
         Counts and latencies.
-    log : LogStatistics
-        What was met in the log.
     configuration : Configuration
         The effective one.
     seed, threads : int
         As given.
-    source : Path
-        The log.
-    digest : str
-        Its SHA-256.
-    repair : Repair
-        What was taken out of it.
-    stopwatch : Stopwatch
-        Time spent; saving adds to it.
-    failures : tuple of str
-        What failed: scans that were skipped, or the final refinement.
     truth : Trajectory or None
         The true trajectory in the map's frame, where it is known; it is drawn into the picture.
     map_piece : SavedPiece or None
@@ -155,15 +143,9 @@ class MapResult(Result):
     state: GridFastSlamState
     maps_bytes: int
     statistics: RunStatistics
-    log: LogStatistics
     configuration: Configuration
     seed: int
     threads: int
-    source: Path
-    digest: str
-    repair: Repair
-    stopwatch: Stopwatch
-    failures: tuple[str, ...] = ()
     truth: Trajectory | None = None
     map_piece: SavedPiece | None = None
     drives: tuple[Drive, ...] = ()
@@ -222,11 +204,7 @@ class MapResult(Result):
     def warnings(self) -> Iterator[str]:
         """Yield warnings about the log, a sentence each."""
         log = self.log
-        for fault in self.repair.describe():
-            yield f"{fault}: corrected before mapping (disable with --repair none; details: gridslam doctor)"
-        yield from log.remarks
-        if log.truncated:
-            yield f"the log is truncated after {log.scan_count} scans"
+        yield from self.describe_faults()
         if log.backward_stamps > _MAX_BACKWARD_RATIO * log.scan_count:
             yield (
                 f"{log.backward_stamps} of {log.scan_count} scans have a stamp older than their predecessor: "
@@ -313,7 +291,7 @@ class MapResult(Result):
             }
             for sensor, mounting in log.mountings.items()
         }
-        return describe_input(self.source, self.digest, log, self.repair) | {
+        return self.describe_input() | {
             "bytes": log.total_bytes,
             "truncated": log.truncated,
             "sensors": sensors,

@@ -26,7 +26,7 @@ from gridslam.viz.notebook import Picture
 
 
 @final
-@dataclass(frozen=True, slots=True, eq=False, repr=False)
+@dataclass(frozen=True, slots=True, eq=False, repr=False, kw_only=True)
 class MergeResult(Result):
     """Sessions that were merged.
 
@@ -44,8 +44,6 @@ class MergeResult(Result):
         The full SLAM answer of that piece.
     is_joined : bool
         Whether any sessions have something in common.
-    stopwatch : Stopwatch
-        Time spent; saving adds to it.
     """
 
     schema: ClassVar = "gridslam.merge/1"
@@ -58,7 +56,6 @@ class MergeResult(Result):
     covariances: FloatArray
     full: FullSlam
     is_joined: bool
-    stopwatch: Stopwatch
 
     @property
     def source(self) -> Path:

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import os
 from abc import ABC, abstractmethod
-from collections.abc import Mapping, Sequence
-from dataclasses import asdict
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar
 
@@ -22,10 +22,18 @@ from gridslam.viz.notebook import Picture, encode_png
 _COMPRESSION = 3  # of zlib, for pictures: 12 % larger than by 6, in two thirds of the time
 
 
+@dataclass(frozen=True, slots=True, eq=False, repr=False, kw_only=True)
 class Result(ABC):
-    """Result of a task; each kind adds its own values, files and picture."""
+    """Result of a task; each kind adds its own values, files and picture.
 
-    __slots__ = ()
+    Attributes
+    ----------
+    stopwatch : Stopwatch
+        Time spent; saving adds to it.
+    failures : tuple of str
+        What failed, a sentence each: scans that were skipped, or the final refinement. The result is that of all
+        other scans.
+    """
 
     schema: ClassVar[str]
     """Name and number of the form of run.json."""
@@ -33,6 +41,9 @@ class Result(ABC):
     """Name of the picture's file."""
     file_names: ClassVar[tuple[str, ...]]
     """Names of all files that may be written, but picture and run.json."""
+
+    stopwatch: Stopwatch
+    failures: tuple[str, ...] = ()
 
     if TYPE_CHECKING:  # fields of one class, properties of another
 
@@ -49,16 +60,6 @@ class Result(ABC):
         def source(self) -> Path:
             """The log."""
             ...
-
-        @property
-        def stopwatch(self) -> Stopwatch:
-            """Time spent; saving adds to it."""
-            ...
-
-    @property
-    def failures(self) -> tuple[str, ...]:
-        """Failures, a sentence each; the result is that of all other scans."""
-        return ()
 
     @abstractmethod
     def caption(self) -> list[str]:
@@ -131,15 +132,44 @@ def write_trajectory(out: OutputFolder, trajectory: Trajectory, covariances: Flo
     write_trajectory_csv(out.file("trajectory.csv"), trajectory, covariances)
 
 
-def describe_input(source: Path, digest: str, log: LogStatistics, repair: Repair) -> dict[str, Any]:
-    """Part `input` of run.json that all logs of scans have."""
-    return {
-        "path": os.fspath(source),
-        "sha256": digest,
-        "selection": log.selection,
-        "duration_s": log.duration_s,
-        "repair": asdict(repair) if repair else None,
-    }
+@dataclass(frozen=True, slots=True, eq=False, repr=False, kw_only=True)
+class ScanResult(Result):
+    """Result of a log of scans.
+
+    Attributes
+    ----------
+    source : Path
+        The log.
+    digest : str
+        Its SHA-256.
+    log : LogStatistics
+        What was met in it.
+    repair : Repair
+        What was taken out of it.
+    """
+
+    source: Path
+    digest: str
+    log: LogStatistics
+    repair: Repair
+
+    def describe_faults(self) -> Iterator[str]:
+        """Yield the faults of the log, a sentence each."""
+        for fault in self.repair.describe():
+            yield f"{fault}: corrected before mapping (disable with --repair none; details: gridslam doctor)"
+        yield from self.log.remarks
+        if self.log.truncated:
+            yield f"the log is truncated after {self.log.scan_count} scans"
+
+    def describe_input(self) -> dict[str, Any]:
+        """Part `input` of run.json."""
+        return {
+            "path": os.fspath(self.source),
+            "sha256": self.digest,
+            "selection": self.log.selection,
+            "duration_s": self.log.duration_s,
+            "repair": asdict(self.repair) if self.repair else None,
+        }
 
 
 def find_repair(log: Log) -> Repair:

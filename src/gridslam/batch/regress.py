@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import re
 from collections import defaultdict
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any, Final, final
@@ -108,8 +108,7 @@ def compare_batches(
 ) -> Regression:
     """Compare two runs of the same logs.
 
-    Runs are paired by the folders of their results. Folders whose names end in ``-seedN`` are seeds of one log; those
-    of a log that are left are paired in their order, so that runs with other seeds can be compared.
+    Runs are paired by the folders of their results. Folders whose names end in ``-seedN`` are seeds of one log.
 
     Parameters
     ----------
@@ -125,26 +124,28 @@ def compare_batches(
     InputError
         One of the folders has no journal, or there are fewer than `LEAST_PAIRS` pairs.
     """
-    before, after = (_by_log(read_rows(folder)) for folder in (old, new))
+    before, after = ({row["folder"]: row for row in read_rows(folder)} for folder in (old, new))
     differences: dict[tuple[str, str], list[float]] = defaultdict(list)
     failed: dict[str, list[str]] = {"old": [], "new": []}
-    unpaired: dict[str, list[str]] = {"old": [], "new": []}
-    count = 0
-    for log in sorted({*before, *after}):
-        for pair in _pair(before.get(log, {}), after.get(log, {}), unpaired):
-            count += 1
-            figures = [measure(row) for row in pair]
-            for name in FIGURES:
-                difference = _difference(name, *figures)
-                differences[log, name].append(difference)
-                differences[ALL_LOGS, name].append(difference)
-            for name, row in zip(failed, pair, strict=True):
-                failed[name] += [row["folder"]] if row["status"] == "failed" else []
-    if count < LEAST_PAIRS:
-        problem = f"expected at least {LEAST_PAIRS} runs that are in {old}, too, got {count}: nothing could be found"
+    both = sorted(before.keys() & after.keys())
+    unpaired = {"old": sorted(before.keys() - after.keys()), "new": sorted(after.keys() - before.keys())}
+    for folder in both:
+        seeded = _SEEDED.fullmatch(folder)
+        pair = before[folder], after[folder]
+        figures = [measure(row) for row in pair]
+        for name in FIGURES:
+            difference = _difference(name, *figures)
+            differences[seeded[1] if seeded else folder, name].append(difference)
+            differences[ALL_LOGS, name].append(difference)
+        for name, row in zip(failed, pair, strict=True):
+            failed[name] += [folder] if row["status"] == "failed" else []
+    if len(both) < LEAST_PAIRS:
+        problem = (
+            f"expected at least {LEAST_PAIRS} runs that are in {old}, too, got {len(both)}: nothing could be found"
+        )
         raise InputError(new, problem)
     margins = {name: math.log1p(cost_margin if name in _COSTS else error_margin) for name in FIGURES} | {"failed": 0.0}
-    return Regression(str(old), str(new), level, count, unpaired, failed, find_changes(differences, margins))
+    return Regression(str(old), str(new), level, len(both), unpaired, failed, find_changes(differences, margins))
 
 
 def measure(row: Mapping[str, Any]) -> dict[str, float]:
@@ -164,27 +165,6 @@ def _number(document: object, keys: Sequence[str]) -> float | None:
     for key in keys:
         document = document.get(key) if isinstance(document, Mapping) else None
     return document if isinstance(document, int | float) else None
-
-
-def _by_log(rows: Iterable[dict[str, Any]]) -> dict[str, dict[str, dict[str, Any]]]:
-    """Rows by log, and by folder."""
-    logs: dict[str, dict[str, dict[str, Any]]] = defaultdict(dict)
-    for row in rows:
-        seeded = _SEEDED.fullmatch(row["folder"])
-        logs[seeded[1] if seeded else row["folder"]][row["folder"]] = row
-    return logs
-
-
-def _pair(
-    old: Mapping[str, dict[str, Any]], new: Mapping[str, dict[str, Any]], unpaired: Mapping[str, list[str]]
-) -> list[tuple[dict[str, Any], dict[str, Any]]]:
-    both = [folder for folder in old if folder in new]
-    left = [sorted(folder for folder in rows if folder not in both) for rows in (old, new)]
-    count = min(map(len, left))
-    for name, folders in zip(("old", "new"), left, strict=True):
-        unpaired[name].extend(folders[count:])
-    pairs = [(folder, folder) for folder in both] + list(zip(left[0][:count], left[1][:count], strict=True))
-    return [(old[a], new[b]) for a, b in pairs]
 
 
 def _difference(name: str, old: Mapping[str, float], new: Mapping[str, float]) -> float:

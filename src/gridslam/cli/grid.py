@@ -20,7 +20,6 @@ def grid_to_folder(
     trajectory: Path,
     out: Path,
     model: GridModel,
-    half_life_scans: float | None,
     max_gap_s: float,
     no_deskew: bool,
     resolution_m: float | None,
@@ -36,13 +35,12 @@ def grid_to_folder(
     with (
         open_output(out, GridResult.all_names()) as folder,
         open_progress(source, shown=not as_json) as on_progress,
-        name_option(half_life_scans="--decay", resolution_m="--resolution", max_gap_s="--max-gap"),
+        name_option(resolution_m="--resolution", max_gap_s="--max-gap"),
     ):
         result = map_with_poses(
             source,
             trajectory,
             model=model,
-            half_life_scans=half_life_scans,
             max_gap_s=max_gap_s,
             deskew=not no_deskew,
             resolution_m=resolution_m,
@@ -72,12 +70,7 @@ def _summarize(document: dict[str, Any], result: GridResult, out: Path) -> list[
 
 def _find_warnings(result: GridResult) -> Iterator[str]:
     """Yield the warnings about unmapped scans and the log."""
-    log = result.log
-    for fault in result.repair.describe():
-        yield f"{fault}: corrected before mapping (disable with --repair none; details: gridslam doctor)"
-    yield from log.remarks
-    if log.truncated:
-        yield f"the log is truncated after {log.scan_count} scans"
+    yield from result.describe_faults()
     first = result.given.stamps_ns.min() * 1e-9
     last = result.given.stamps_ns.max() * 1e-9
     reasons = {
@@ -86,4 +79,4 @@ def _find_warnings(result: GridResult) -> Iterator[str]:
     }
     for reason, why in reasons.items():
         if count := result.unplaced[reason]:
-            yield f"{count} of {log.scan_count} scans are not mapped: {why}"
+            yield f"{count} of {result.log.scan_count} scans are not mapped: {why}"

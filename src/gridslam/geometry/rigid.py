@@ -1,7 +1,8 @@
 """SE(3) in seven Python floats: a translation and a unit quaternion, [x m, y m, z m, qx, qy, qz, qw].
 
-What a transform buffer computes with, one motion at a time: several times faster than arrays of one element. The
-matrices that the rest of the package knows are in `se3`. q and -q are the same rotation.
+What a transform buffer computes with, one motion at a time: several times faster than arrays of one element. The rest
+of the package knows homogeneous matrices (4, 4). q and -q are the same rotation. Frames are right-handed with x ahead,
+y to the left and z up.
 
 Source: Sola, Quaternion kinematics for the error-state Kalman filter (2017), chapters 1 and 2; Shoemake, Animating
 rotation with quaternion curves (1985).
@@ -93,6 +94,15 @@ def to_matrix(a: Rigid) -> NDArray[np.float64]:
             (0.0, 0.0, 0.0, 1.0),
         )
     )
+
+
+@checked
+def matrix_of_planar(pose: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Homogeneous matrix (4, 4) of a pose (3,) = [x m, y m, theta rad] in the ground plane."""
+    x, y, theta = pose.tolist()
+    c = math.cos(theta)
+    s = math.sin(theta)
+    return np.array([[c, -s, 0.0, x], [s, c, 0.0, y], [0.0, 0.0, 1.0, 0.0], [0.0, 0.0, 0.0, 1.0]])
 
 
 @checked

@@ -175,7 +175,7 @@ class _CellError(ValueError):
 
 
 @final
-class _Rows:
+class _Rows(ForeignRows):
     """From lines to measurements: the header's names of the columns, and the lasers met so far."""
 
     def __init__(self, statistics: LogStatistics) -> None:
@@ -234,10 +234,6 @@ class _Rows:
             frame=cells["frame"],
             beam_times_s=times,
         )
-
-    def end(self) -> Measurement | None:
-        """Return no scan: each row was one."""
-        return None
 
 
 def _parse_header(text: str) -> list[str]:

@@ -8,9 +8,10 @@ from __future__ import annotations
 
 import math
 import re
+from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
 from functools import lru_cache
-from typing import Protocol, final
+from typing import final
 
 import numpy as np
 
@@ -43,16 +44,16 @@ _MOST_BEAMS = 100_000
 _PERIOD_NS = 100_000_000  # of scans without stamps
 
 
-class ForeignRows(Protocol):
+class ForeignRows(ABC):
     """Converts the lines of a table to measurements, one after the other."""
 
+    @abstractmethod
     def parse(self, line: str) -> Measurement | None:
         """Take the next line; return a scan that is complete, or None. Raises ValueError for a malformed line."""
-        ...
 
     def end(self) -> Measurement | None:
         """Return the scan that the last line completes, or None. Raises ValueError where it is none."""
-        ...
+        return None
 
 
 def is_foreign_table(head: str) -> bool:
@@ -118,7 +119,7 @@ def _number(words: Sequence[str], place: int, name: str) -> float:
 
 
 @final
-class _RostopicRows:
+class _RostopicRows(ForeignRows):
     """`rostopic echo -p /scan`: a scan in each row."""
 
     def __init__(self, header: str) -> None:
@@ -141,12 +142,9 @@ class _RostopicRows:
         stamp_ns = parse_whole_ns(words[self._places[_STAMP]]) or parse_whole_ns(words[0])
         return _scan(stamp_ns, numbers, [_number(words, place, self._names[place]) for place in self._ranges])
 
-    def end(self) -> Measurement | None:
-        return None
-
 
 @final
-class _EchoRows:
+class _EchoRows(ForeignRows):
     """`ros2 topic echo --csv /scan`: a LaserScan in each row, its fields in their order and without names."""
 
     def parse(self, line: str) -> Measurement | None:
@@ -171,9 +169,6 @@ class _EchoRows:
             )
         stamp_ns = parse_whole_ns(words[0]) * 10**9 + parse_whole_ns(words[1])
         return _scan(stamp_ns, numbers, values[:ranges])
-
-    def end(self) -> Measurement | None:
-        return None
 
 
 def _scan(stamp_ns: int, numbers: Mapping[str, float], ranges: list[float]) -> Measurement:
@@ -200,7 +195,7 @@ def _geometry(start: float, step: float, beams: int) -> ScanGeometry:
 
 
 @final
-class _PointRows:
+class _PointRows(ForeignRows):
     """A beam in each row: an angle, a distance, and mostly a time.
 
     A scan ends where the angle starts over.

@@ -34,19 +34,13 @@ class BeamCounts:
     ----------
     resolution_m : float, m
         Side of a cell.
-    half_life_scans : float or None, > 0
-        Number of scans observing a cell after which the weight of its counts is halved; None for no decay. Counts of a
-        cell that is not observed do not decay.
     threads : int
         Threads of the kernels; never changes a result.
     """
 
-    __slots__ = ("_hits", "_kept", "_net", "_scan", "_slots")
+    __slots__ = ("_hits", "_net", "_scan", "_slots")
 
-    def __init__(self, resolution_m: float, half_life_scans: float | None = None, threads: int = 1) -> None:
-        if half_life_scans is not None and not 0 < half_life_scans < math.inf:
-            raise ArgumentError("half_life_scans", "a number of scans above 0, or None", half_life_scans)
-        self._kept = 1.0 if half_life_scans is None else 0.5 ** (1 / half_life_scans)
+    def __init__(self, resolution_m: float, threads: int = 1) -> None:
         self._scan = TileMaps(1, resolution_m=resolution_m, reach_cells=1.0, evidence=_ONE_EACH, threads=threads)
         self._slots: dict[tuple[int, int], int] = {}  # of each tile (row, column); 0 is the empty one
         self._hits: FloatArray = np.zeros((64, TILE, TILE))
@@ -67,10 +61,6 @@ class BeamCounts:
         reported = self._scan.tiles(ids[places[:, 0], places[:, 1]])
         self._scan.clear(0)
         slots = self._slots_of(places + corner)
-        if self._kept < 1:
-            kept = np.where(reported == UNKNOWN, 1.0, self._kept)
-            self._hits[slots] *= kept
-            self._net[slots] *= kept
         reported[reported == UNKNOWN] = 0
         self._hits[slots] += np.maximum(reported, 0)
         self._net[slots] += reported

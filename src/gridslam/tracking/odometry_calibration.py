@@ -23,6 +23,10 @@ SEGMENT_M = 0.5
 SEGMENT_RAD = 0.5
 """A segment ends after either; the tracker's own error over it is a centimetre."""
 
+_MAX_UNEXPLAINED_RATIO = 0.6
+"""Odometry that leaves so much of the motion unexplained, or of the turning, is not used; it is used again once it
+leaves half of that, and so does not come and go."""
+
 _PRIOR = 0.5
 """Weight of the odometry's being exact, in squared metres and radians moved."""
 
@@ -109,13 +113,9 @@ class OdometryCalibration:
     ----------
     forgetting_segments : float
         Number of segments after which one counts a third (1/e).
-    max_unexplained_ratio : float
-        Odometry that leaves so much of the motion unexplained, or of the turning, is not used; it is used again once it
-        leaves half of that.
     """
 
     forgetting_segments: float = bounded(200.0, ge=1, le=1e6)
-    max_unexplained_ratio: float = bounded(0.6, ge=1e-6, le=1e6)
 
     def is_known(self, errors: OdometryErrorModel) -> bool:
         """Whether the estimate has converged and the odometry is consistent with it."""
@@ -163,7 +163,7 @@ class OdometryCalibration:
         moved_m, turned = motion_of(moved)
         errors.sums = 0.95 * errors.sums + np.array([left_m, moved_m, left_rad, turned])
         left_m, moved_m, left_rad, turned = errors.sums.tolist()
-        limit = self.max_unexplained_ratio if errors.trusted else 0.5 * self.max_unexplained_ratio
+        limit = _MAX_UNEXPLAINED_RATIO if errors.trusted else 0.5 * _MAX_UNEXPLAINED_RATIO
         # 2 m and 1 rad count as explained beside: a stretch or two do not decide
         errors.trusted = left_m < limit * (moved_m + 2) and left_rad < limit * (turned + 1)
 

@@ -29,6 +29,11 @@ _SIGMA_M = 0.005
 _SIGMA_RAD = 0.01
 """Standard deviations of a prediction for the stamp of the last scan, which another laser may have."""
 
+_SIGMA_MPS = 0.2
+_SIGMA_RPS = 1.5
+"""What they grow by with time, m/s and rad/s. On logs of 5 scans a second, 95 of 100 predictions are within 6 cm and
+0.1 rad."""
+
 _BEAM_SIGMA_M = 0.03
 """Standard deviation of a beam against which a prediction by the velocity is weighed: a lidar's. Unlike wheels, mass
 does not slip."""
@@ -106,15 +111,10 @@ class ConstantVelocity:
     ----------
     speed_mps, turn_rps : float
         Above what the robot drives (m/s, rad/s); the defaults are for indoor robots.
-    sigma_mps, sigma_rps : float
-        What the standard deviations of a prediction grow by with time, m/s and rad/s. On logs of 5 scans a second, 95
-        of 100 predictions are within 6 cm and 0.1 rad.
     """
 
     speed_mps: float = bounded(3.0, ge=0, le=1000)
     turn_rps: float = bounded(3.0, ge=0, le=1000)
-    sigma_mps: float = bounded(0.2, ge=0, le=100)
-    sigma_rps: float = bounded(1.5, ge=0, le=100)
 
     def seconds(self, state: TrackerState, stamp_ns: int) -> float:
         """Time from the last scan to one at `stamp_ns`, >= 0, as far as stamps are to be trusted."""
@@ -136,7 +136,7 @@ class ConstantVelocity:
         vx, vy, omega = state.twist
         pose = compose(state.pose, exp((seconds * vx, seconds * vy, seconds * omega)))
         turned = abs(omega) * seconds
-        sigmas = _SIGMA_M + self.sigma_mps * seconds, _SIGMA_RAD + self.sigma_rps * seconds
+        sigmas = _SIGMA_M + _SIGMA_MPS * seconds, _SIGMA_RAD + _SIGMA_RPS * seconds
         return Prediction(pose, False, seconds, 0.0, turned, *sigmas, _BEAM_SIGMA_M)
 
     def exceeds(self, a: Pose, b: Pose, seconds: float, margin_m: float, margin_rad: float) -> bool:

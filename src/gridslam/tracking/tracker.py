@@ -63,6 +63,11 @@ there is none, from a twentieth of that."""
 _SLIP_SIGMAS = 4.0
 """Standard deviations of calibrated odometry beyond which a match needs a gain in inliers."""
 
+_SLIP_INLIER_GAIN = 0.1
+"""Minimum gain of the inlier ratio by a match farther from the odometry than `slip_m`: more beams than noise and people
+move. It is needed at the limit; the farther a match is from calibrated odometry the greater the gain must be, in
+proportion to the Cauchy log likelihood of that error."""
+
 _MATCHED_TURN_RAD = 0.2
 """A scan within which the robot turned by half as much more than it was corrected for is still matched."""
 
@@ -103,12 +108,9 @@ class Tracker:
         ratio, too; between scans that are far apart, where else none would be matched, the least of a match will do.
     slip_m : float, m
         A match that moves the position farther than this from the odometry, and than four of the odometry's standard
-        deviations, requires a gain in inliers (`slip_inlier_gain`): wheel slip or delayed odometry. Else something
+        deviations, requires a gain in inliers: wheel slip or delayed odometry. Else something
         misled it (a person walking along, the dotted far end of a bare corridor, a scan smeared by a fast turn): the
         position keeps the odometry, and only the heading is taken.
-    slip_inlier_gain : float
-        Minimum gain of the inlier ratio by such a match. It is needed at the limit; the farther a match is from
-        calibrated odometry the greater the gain must be, in proportion to the Cauchy log likelihood of that error.
     deskew : bool
         Whether scans with beam times are deskewed, by the motion that their match yields and in the order of the beams
         that fits the map best; else they are taken as they are.
@@ -131,7 +133,6 @@ class Tracker:
     min_inlier_ratio: float = bounded(0.5, ge=0, le=1)
     search_inlier_ratio: float = bounded(0.7, ge=0, le=1)
     slip_m: float = bounded(0.08, ge=1e-6, le=1e6)
-    slip_inlier_gain: float = bounded(0.1, ge=0, le=1)
     deskew: bool = True
     matcher: GaussNewton = GaussNewton()
     velocity: ConstantVelocity = ConstantVelocity()
@@ -257,7 +258,7 @@ class Tracker:
         found = self._match_from_odometry(state, predicted, joint)
         if found.inlier_ratio >= self.search_inlier_ratio:
             return found
-        needed, gain = self.search_inlier_ratio, self.slip_inlier_gain
+        needed, gain = self.search_inlier_ratio, _SLIP_INLIER_GAIN
         if self.search.is_far_from_last(state, predicted):
             other = self.search(state, predicted, joint, self.matcher)
             if found.lost and not self.search.had_blind_gap(state, predicted):
@@ -270,16 +271,16 @@ class Tracker:
             led_to = predict_by_odometry(state, *before, predicted.reading, predicted.seconds, self.beam_sigma_m)
             again = self._match_from_odometry(state, led_to, joint)
             if again.inlier_ratio > other.inlier_ratio:
-                other, gain = again, self.slip_inlier_gain
+                other, gain = again, _SLIP_INLIER_GAIN
         return other if other.inlier_ratio >= max(needed, found.inlier_ratio + gain) else found
 
     def _required_gain(self, state: TrackerState, predicted: Prediction, pose: Pose) -> float:
-        """Gain of the inlier ratio that a place needs that the odometry does not lead to; see `slip_inlier_gain`."""
+        """Gain of the inlier ratio that a place needs that the odometry does not lead to; see `_SLIP_INLIER_GAIN`."""
         away = math.hypot(pose[0] - predicted.pose[0], pose[1] - predicted.pose[1])
         limit = self._slip_limit_m(predicted)
         if away <= limit or not self._is_calibrated(state):  # else the odometry may be wrong throughout
-            return self.slip_inlier_gain
-        return self.slip_inlier_gain * math.log1p((_SLIP_SIGMAS * away / limit) ** 2) / math.log1p(_SLIP_SIGMAS**2)
+            return _SLIP_INLIER_GAIN
+        return _SLIP_INLIER_GAIN * math.log1p((_SLIP_SIGMAS * away / limit) ** 2) / math.log1p(_SLIP_SIGMAS**2)
 
     def _slip_limit_m(self, predicted: Prediction) -> float:
         return max(self.slip_m, _SLIP_SIGMAS * predicted.sigma_m)
@@ -297,7 +298,7 @@ class Tracker:
         if not is_within(track.matched_pose, predicted.pose, self.standstill_m, self.standstill_rad):
             return False
         ratio = _score(state, predicted.pose, beams) / len(beams)
-        return ratio > track.inlier_ratio - self.slip_inlier_gain
+        return ratio > track.inlier_ratio - _SLIP_INLIER_GAIN
 
     def _match_from_odometry(self, state: TrackerState, predicted: Prediction, beams: BeamEnds) -> PoseEstimate:
         """Match from a prediction by odometry; where a match is implausible, only its heading is taken."""
@@ -336,7 +337,7 @@ class Tracker:
             if place is not None:
                 found = as_pose(place.pose)
                 other = self.matcher.match_pose(state.maps, state.matched_map, found, NO_INFORMATION, beams)
-                convinces = other.score - match.score > self.slip_inlier_gain * count
+                convinces = other.score - match.score > _SLIP_INLIER_GAIN * count
                 match = other if convinces and other.score >= self.search_inlier_ratio * count else match
         if match.score < self.min_inlier_ratio * count:
             return PoseEstimate(predicted.pose, predicted, matched=True, lost=True)

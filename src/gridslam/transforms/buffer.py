@@ -127,7 +127,7 @@ class TransformBuffer:
         return rigid.to_matrix(self._motion(_bare(target), _bare(source), stamp_ns))
 
     def planar(self, target: str, source: str, stamp_ns: int) -> FloatArray:
-        """Pose (3,) = [x m, y m, yaw rad] of `source` in `target` seen from above, as `se3.to_planar` of `lookup`.
+        """Pose (3,) = [x m, y m, yaw rad] of `source` in `target` seen from above, as `rigid.planar` of `lookup`.
 
         Raises MissingTransform where it is not known, ArgumentError where the x axis of `source` is vertical.
         """

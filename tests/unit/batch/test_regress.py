@@ -13,12 +13,12 @@ from measure import RESULTS
 from support.journals import make_document, make_rows, write_journal
 
 
-def write_suite(out, first_seed=0, errors=1.0, cost=1.0, failing=(), seeds=10):
-    """A suite of two logs with the spread of the real ones: errors 1 %, CPU time 5 %."""
-    rng = np.random.default_rng(first_seed)
+def write_suite(out, version=0, errors=1.0, cost=1.0, failing=(), seeds=10):
+    """A suite of two logs with the spread of the real ones: errors 1 %, CPU time 5 %; another version, other noise."""
+    rng = np.random.default_rng(version)
     rows = []
     for log in ("intel", "aces"):
-        for seed in range(first_seed, first_seed + seeds):
+        for seed in range(seeds):
             folder = f"{log}-default-seed{seed}"
             factor = errors if log == "aces" else 1.0
             document = make_document(rng, seed, 0.03 * factor * float(np.exp(rng.normal(0, 0.01))))
@@ -45,7 +45,7 @@ def test_the_same_run_is_not_worse(old, capsys):
 
 
 def test_more_error_of_one_log_is_found_and_named(old, tmp_path, capsys):
-    new = write_suite(tmp_path / "new", first_seed=100, errors=1.1)
+    new = write_suite(tmp_path / "new", version=100, errors=1.1)
     assert main(["regress", str(old), str(new), "--json"]) == 1
     document = json.loads(capsys.readouterr().out)
     assert document["schema"] == "gridslam.regression/2"
@@ -70,6 +70,12 @@ def test_failures_are_found_and_one_alone_is_only_named(old, tmp_path):
     one = compare_batches(old, write_suite(tmp_path / "one", failing=[4]))
     assert one.worse == []
     assert "fails now: aces-default-seed4, intel-default-seed4" in one.lines()
+
+
+def test_runs_without_a_counterpart_are_listed(old, tmp_path):
+    found = compare_batches(old, write_suite(tmp_path / "new", seeds=9))
+    assert found.pairs == 18
+    assert found.unpaired == {"old": ["aces-default-seed9", "intel-default-seed9"], "new": []}
 
 
 def test_too_few_runs_are_no_gate_that_cannot_fail(old, tmp_path, capsys):

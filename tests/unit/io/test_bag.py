@@ -6,11 +6,10 @@ import numpy as np
 import pytest
 
 from gridslam.doctor.diagnose import CheckedLog
-from gridslam.geometry import se3
 from gridslam.io.bags.bag import BagLog
 from gridslam.io.log import Log, LogOptions
 from gridslam.types import LaserScan
-from support import ros_bags
+from support import ros_bags, se3
 from support.ros_bags import KINDS, drive, ns, odometry, scan, transform, yawed
 
 FOUR = [1.0, 2.0, 3.0, 4.0]

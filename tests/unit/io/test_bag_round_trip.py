@@ -5,11 +5,11 @@ import math
 import numpy as np
 import pytest
 
-from gridslam.geometry import se3
 from gridslam.io.bags.bag import BagLog
 from gridslam.io.bags.writer import write_bag
 from gridslam.io.measurement import Measurement
 from gridslam.types import LaserScan, Odometry, ScanGeometry
+from support import se3
 
 S = 1_000_000_000
 START = 1_700_000_000 * S

@@ -10,10 +10,11 @@ from rosbags.highlevel import AnyReader
 from rosbags.typesys import Stores, get_typestore
 
 from gridslam.errors import ArgumentError, OutputError
-from gridslam.geometry import se2, se3
+from gridslam.geometry import se2
 from gridslam.io.bags.writer import write_bag
 from gridslam.io.measurement import Measurement
 from gridslam.types import LaserScan, Odometry, ScanGeometry
+from support import se3
 
 S = 1_000_000_000
 START = 1_700_000_000 * S

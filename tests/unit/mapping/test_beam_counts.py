@@ -1,4 +1,4 @@
-"""Counts of beams: against every ray drawn by itself, whatever the scans' order, and what fades of them."""
+"""Counts of beams: against every ray drawn by itself, whatever the scans' order."""
 
 from __future__ import annotations
 
@@ -98,43 +98,6 @@ def test_the_counting_model_in_closed_form():
     np.testing.assert_array_equal(grid.known, seen)
     np.testing.assert_allclose(grid.probability[seen], hits[seen] / (hits + misses)[seen], atol=2e-7)
     assert {0.0, 1.0} <= set(np.rint(1e6 * grid.probability[seen]) / 1e6)  # what was never, and always reflected
-
-
-def straight(*ranges: float) -> StoredScan:
-    return StoredScan(np.array([[r, 0.0] for r in ranges]), np.zeros(2))
-
-
-def near(counts: BeamCounts, x: float) -> tuple[float, float]:
-    return by_cell(counts).get((0, int(x / 0.1)), (0.0, 0.0))
-
-
-POSE = np.array([0.05, 0.05, 0.0])
-
-
-def test_what_was_seen_fades_by_scans_that_see_it():
-    """A door at 2 m that opens: n scans of half-life h leave 2^(-n/h) of the hits."""
-    counts = BeamCounts(0.1, half_life_scans=5)
-    for _ in range(20):
-        counts.add(POSE, straight(2.0))
-    kept = 0.5 ** (1 / 5)
-    full = (1 - kept**20) / (1 - kept)
-    assert near(counts, 2.05) == pytest.approx((full, 0.0))
-    for _ in range(10):
-        counts.add(POSE, straight(3.0))
-    hits, misses = near(counts, 2.05)
-    assert hits == pytest.approx(full / 4)
-    assert misses == pytest.approx((1 - kept**10) / (1 - kept))
-    assert near(counts, 1.05) == pytest.approx((0.0, (1 - kept**30) / (1 - kept)))
-
-
-def test_a_door_that_opened_is_open_only_with_decay():
-    for half_life, occupied in ((None, True), (10, False)):
-        counts = BeamCounts(0.1, half_life)
-        for r in [2.0] * 100 + [3.0] * 30:
-            counts.add(POSE, straight(r))
-        for grid in (bayes_map(counts, WIDE), counting_map(counts)):
-            row, column = (round(-start / 0.1) for start in grid.origin[::-1])
-            assert (grid.log_odds[row, column + 20] > 0) == occupied
 
 
 ROUTE = [(1.02, 1.02), (5.02, 1.02), (5.02, 3.02), (1.02, 3.02)]

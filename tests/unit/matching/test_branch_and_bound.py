@@ -47,7 +47,9 @@ def ranges(walls, pose):
 
 def beams_at(walls, pose, range_max_m=30.0):
     """All of them: which are taken of a dense scan hangs on the last digit of its ranges."""
-    return LaserScan.from_ranges(0, ranges(walls, np.asarray(pose)), GEOMETRY).beams(0.05, range_max_m, Thinning(0.0))
+    return LaserScan.from_ranges(0, ranges(walls, np.asarray(pose)), GEOMETRY).beams(
+        0.05, range_max_m, Thinning(1_000_000)
+    )
 
 
 def map_of(walls, poses, range_max_m=30.0):

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from gridslam.errors import ArgumentError
-from gridslam.geometry.se3 import from_planar
 from gridslam.types import BeamStatus, LaserScan
+from support.se3 import from_planar
 
 HIT, NO_RETURN, INVALID = (np.uint8(status) for status in BeamStatus)
 RANGES = np.array([1.0, 0.05, 30.0, np.inf, np.nan, -1.0, 0.0, 29.9], np.float32)

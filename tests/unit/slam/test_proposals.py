@@ -181,9 +181,9 @@ def test_the_best_particle_keeps_to_the_mean_of_motion_that_no_match_has_measure
     assert (np.delete(drawn, 4, axis=0) != drawn[4]).all()
 
 
-@pytest.mark.parametrize(("scans", "variance"), [(1, 1.0), (3, 1.0), (4, 0.5), (20, 0.25)])
+@pytest.mark.parametrize(("scans", "variance"), [(1, 1.0), (2, 1.0), (3, 0.5), (20, 0.25)])
 def test_scans_between_key_scans_hold_the_best_particle(scans, variance):
-    """Two scans count as one, and twenty as eight."""
+    """The key scan is not counted, and nineteen before it as four."""
     own = WIDE.moments(BEFORE)[1]
     held = MotionOfAll(WIDE, 4, scans, None).moments(BEFORE)[1]
     np.testing.assert_allclose(held[4], variance * own[4])

@@ -9,8 +9,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from gridslam.errors import ArgumentError, GridslamError
-from gridslam.geometry import rigid, se3
+from gridslam.geometry import rigid
 from gridslam.transforms import Coverage, MissingTransform, TransformBuffer
+from support import se3
 
 S = 1_000_000_000
 UPSIDE_DOWN = se3.from_quaternion([0.1, 0.02, 0.3], [1, 0, 0, 0])

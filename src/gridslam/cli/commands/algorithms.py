@@ -72,13 +72,6 @@ def landmarks_command() -> None:
     help="Inverse sensor model with log-odds (bayes), or reflection probability per cell (counting).",
 )
 @click.option(
-    "--decay",
-    "half_life_scans",
-    type=Number(),
-    metavar="N",
-    help="Half-life of the evidence of a cell, in scans that observe it.  [default: infinite]",
-)
-@click.option(
     "--resolution", "resolution_m", type=Number(), metavar="M", help="Map resolution, m per cell.  [default: 0.05]"
 )
 @click.option("--laser", metavar="NAME", help="Laser model; sets range limits and map resolution (see gridslam map).")

@@ -14,6 +14,7 @@ import sys
 from bisect import bisect_left
 from collections import Counter
 from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from enum import Enum, auto
 from io import BytesIO
 from operator import itemgetter
@@ -160,28 +161,51 @@ def _size_of(messages: Iterable[Message]) -> int:
     return sum(len(data) + _MESSAGE_BYTES for _, _, data in messages)
 
 
-@final
-class ChunkedFile:
-    """A file of records in chunks.
+class BagFile:
+    """A file of a bag; each kind has a method `messages`.
 
     Attributes
     ----------
     problem : str
-        What stopped the reading before the file's end; empty where nothing did.
+        What is missing or damaged; empty where nothing is.
+    is_ros1 : bool
+        Whether its messages are those of ROS 1.
     topics : dict of str to Topic
         All there are.
     start_ns, end_ns : int
         Times of recording of the first and of the last message.
     """
 
-    def __init__(self, path: Path, form: ChunkFormat) -> None:
-        """Look at the heads of the records."""
+    topics: dict[str, Topic]
+
+    def __init__(self, path: Path) -> None:
         self.problem = ""
+        self.is_ros1 = False
         self.start_ns = LATEST_NS
         self.end_ns = 0
         self._path = path
-        self._form = form
         self._size = path.stat().st_size
+
+    @contextmanager
+    def _raise_problem(self) -> Iterator[None]:
+        """Raise a DamageError at the end of a reading that met a problem; the first one of the file is kept."""
+        before = self.problem
+        self.problem = ""
+        yield
+        problem = self.problem
+        self.problem = before or problem
+        if problem:
+            raise DamageError(problem)
+
+
+@final
+class ChunkedFile(BagFile):
+    """A file of records in chunks."""
+
+    def __init__(self, path: Path, form: ChunkFormat) -> None:
+        """Look at the heads of the records."""
+        super().__init__(path)
+        self._form = form
         self._chunks: list[Chunk] = []
         counts: Counter[int] = Counter()
         with path.open("rb") as file:
@@ -215,10 +239,8 @@ class ChunkedFile:
             for number, (topic, kind) in self._form.channels.items()
             if topic in topics and kind == self.topics[topic].type
         }
-        before = self.problem
-        self.problem = ""
         limit = UnpackingLimit(self._size)
-        with self._path.open("rb") as file:
+        with self._raise_problem(), self._path.open("rb") as file:
             yield from merge_chunks(
                 (
                     chunk.start_ns,
@@ -231,10 +253,6 @@ class ChunkedFile:
                 for chunk in self._chunks
                 if not chunk.connections.isdisjoint(wanted)
             )
-        problem = self.problem
-        self.problem = before or problem
-        if problem:
-            raise DamageError(problem)
 
     def _find_chunks(self, file: IO[bytes]) -> dict[int, _Times]:
         """Find definitions and chunks, with the times that indices state; a message that is in none counts as one."""

@@ -12,7 +12,7 @@ from contextlib import closing
 from pathlib import Path
 from typing import Any, final
 
-from gridslam.io.bags.chunks import LATEST_NS, DamageError, Message, count_topics
+from gridslam.io.bags.chunks import BagFile, DamageError, Message, count_topics
 from gridslam.io.database import open_database
 from gridslam.io.limits import require_memory
 
@@ -29,33 +29,23 @@ _TOO_MANY = "its tables have more rows than the file has room for"
 
 
 @final
-class SqliteFile:
+class SqliteFile(BagFile):
     """An SQLite file of a bag.
 
     Messages come by the time of their recording; where a page is missing or damaged, in the order of their rows as far
     as those go. A file that computes is refused (see `open_database`), and so are rows that together are larger than
     the file, however its pages refer to each other.
-
-    Attributes
-    ----------
-    problem : str
-        What is missing or damaged; empty where nothing is.
     """
 
     def __init__(self, path: Path) -> None:
         """Count the messages."""
-        self.is_ros1 = False
-        self.problem = ""
-        self.start_ns = LATEST_NS
-        self.end_ns = 0
-        self._path = path
-        self._bytes = path.stat().st_size
+        super().__init__(path)
         types = {row[0]: (row[1], row[2]) for row in self._rows(1, "SELECT id, name, type FROM topics")}
         types = {number: (name, kind) for number, (name, kind) in types.items() if isinstance(name, str)}
         self._topics = {number: name for number, (name, _) in types.items()}
         self._kinds = {number: str(kind) for number, (_, kind) in types.items()}
         counts: Counter[int] = Counter()
-        left = self._bytes
+        left = self._size
         for number, time_ns, size in self._rows(3, _COUNTED):
             require_memory(path, "a message", size)
             left -= size
@@ -69,29 +59,24 @@ class SqliteFile:
 
     def messages(self, topics: Collection[str]) -> Iterator[Message]:
         """Yield messages of some topics; raises DamageError at the first one that is damaged, after those before it."""
-        before = self.problem
-        self.problem = ""
         wanted = {
             number: name
             for number, name in self._topics.items()
             if name in topics and self._kinds[number] == self.topics[name].type
         }
-        query = _AS_THEY_LIE if before else _ORDERED.format(",".join(map(str, wanted)))
-        for time_ns, number, data in self._rows(2, query):
-            if number not in wanted:
-                continue
-            if not isinstance(data, bytes):
-                self.problem = "a message without data"
-                break
-            yield time_ns, wanted[number], data
-        problem = self.problem
-        self.problem = before or problem
-        if problem:
-            raise DamageError(problem)
+        query = _AS_THEY_LIE if self.problem else _ORDERED.format(",".join(map(str, wanted)))
+        with self._raise_problem():
+            for time_ns, number, data in self._rows(2, query):
+                if number not in wanted:
+                    continue
+                if not isinstance(data, bytes):
+                    self.problem = "a message without data"
+                    break
+                yield time_ns, wanted[number], data
 
     def _rows(self, numbers: int, query: str) -> Iterator[Any]:
         """Yield rows whose first columns are `numbers` whole numbers, as they are where nothing is damaged."""
-        left = self._bytes
+        left = self._size
         try:
             with closing(open_database(self._path, _TABLES)) as connection:
                 for row in connection.execute(query):

@@ -16,7 +16,7 @@ from rosbags import rosbag1, rosbag2
 from rosbags.interfaces import Connection, Qos, QosDurability, QosHistory, QosLiveliness, QosReliability, QosTime
 
 from gridslam.errors import ArgumentError, OutputError
-from gridslam.geometry import se2, se3
+from gridslam.geometry import rigid, se2
 from gridslam.io.bags.encoder import MessageEncoder, Values
 from gridslam.io.even_beams import find_step, find_time_increment, require_hits_within_limits
 from gridslam.io.measurement import Measurement
@@ -173,7 +173,7 @@ class _Messages:
         """Return all mountings known so far: who comes late is given the last message alone."""
         by_frame = {sensor.frame: sensor.mounting for sensor in self._sensors.values() if sensor.frame != _BASE}
         return [
-            (self._header("/tf_static", stamp_ns, _BASE), frame, se3.to_quaternion(mounting))
+            (self._header("/tf_static", stamp_ns, _BASE), frame, tuple(np.split(rigid.from_matrix(mounting), [3])))
             for frame, mounting in by_frame.items()
         ]
 

@@ -119,14 +119,6 @@ class SavedSession:
     version: str = __version__
 
     @property
-    def newest(self) -> MapPiece | None:
-        """Scans and graph of the newest drive's piece, as they were saved; None without loop closure."""
-        if self.run is None:
-            return self.pieces[0].piece if self.pieces else None
-        closure_state = None if self.run.state is None else self.run.state.closure_state
-        return None if closure_state is None else MapPiece(closure_state.scans, closure_state.graph)
-
-    @property
     def drives(self) -> Iterator[Drive]:
         """All drives."""
         for piece in self.pieces:

@@ -15,6 +15,7 @@ from gridslam.geometry.se2 import compose, inverse
 from gridslam.localization import LocalizationReport, MonteCarloState
 from gridslam.messages import Messages
 from gridslam.observers import Latency
+from gridslam.particles import entropy
 from gridslam.ros.node.accepted_scan import AcceptedScan
 from gridslam.ros.node.measurement_queue import Counts, MeasurementQueue
 from gridslam.ros.node.messages import CloudMessage, Diagnostics, Level, Outputs, PoseMessage, StampedTransform
@@ -125,8 +126,7 @@ class StatePublisher:
         outputs.pose(PoseMessage(report.stamp_ns, frame, report.pose, report.covariance))
         if report.log_weights is not None:
             self._key = report
-            weights = np.exp(report.log_weights)
-            outputs.entropy(float(-(weights * report.log_weights)[weights > 0].sum()))
+            outputs.entropy(entropy(report.log_weights))
             if isinstance(report, LocalizationReport):
                 outputs.updated_pose(PoseMessage(report.stamp_ns, frame, report.pose, report.covariance))
             state_weights = np.exp(state.log_weights)

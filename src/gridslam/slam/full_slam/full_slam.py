@@ -9,6 +9,7 @@ from typing import final
 
 import numpy as np
 
+from gridslam.checked import checked
 from gridslam.geometry.se2 import between
 from gridslam.geometry.single_pose import as_pose
 from gridslam.grid.tiles import TiledGrid
@@ -130,6 +131,7 @@ class FullSlam:
         return self.tiled_map.whole()
 
 
+@checked
 def full_slam(
     state: GridFastSlamState,
     drives: Sequence[TrackedScans],
@@ -164,6 +166,7 @@ def full_slam(
     return FullSlam(poses, covariances, graph, state.maps.tiled(state.best), None, None)
 
 
+@checked
 def refine_piece(
     piece: MapPiece,
     drives: Sequence[TrackedScans],

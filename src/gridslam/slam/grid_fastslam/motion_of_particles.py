@@ -21,7 +21,7 @@ _LEAST_KNOWN = 0.75
 """Ratio of beams that end in known cells from which on a map decides; else new walls would be laid on old ones."""
 
 _MOST_MATCHES = 4
-"""Two scans count as one match, and more than eight scans as four: matches to the same surfaces have like errors."""
+"""More count as four: matches to the same surfaces have like errors."""
 
 _FREEDOM = 4e5
 """Covariances of the motion are so much larger where matches are to follow the map: it holds next to nothing."""
@@ -70,8 +70,8 @@ class MotionOfAll:
     The best one, which is reported and mapped, is no sample: its draw is the mean, which holds its match. The others
     spread as their motion is drawn, and follow their maps: where a loop closes one of them fits better, and is the best
     from then on. An error that is common to all (variances in m^2 and rad^2) is left to the match. The motion of the
-    best one was measured by `scans` matches since the last key scan: its covariance is divided by half their number, by
-    4 at most.
+    best one was measured by matches of `scans` since the last key scan: its covariance is divided by the number of
+    those before this one, which is matched to the particle's map, too; by 4 at most.
     """
 
     motion: MotionSampler
@@ -93,5 +93,5 @@ class MotionOfAll:
         if len(poses) == 1:
             return means, covariances
         freedom = np.full((len(poses), 1, 1), _FREEDOM)
-        freedom[self.best] = 1.0 / min(max(self.scans // 2, 1), _MOST_MATCHES)
+        freedom[self.best] = 1.0 / min(max(self.scans - 1, 1), _MOST_MATCHES)
         return means, covariances * freedom

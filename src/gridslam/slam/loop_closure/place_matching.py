@@ -24,6 +24,10 @@ from gridslam.slam.loop_closure.state import LoopClosureState
 from gridslam.slam.loop_closure.submaps import ROW
 from gridslam.types import FloatArray
 
+_RECENT_SUBMAPS = 3
+"""Number of most recent submaps that are excluded: they are still tracked, and a match adds nothing."""
+_MIN_OVERLAP = 0.6
+"""Minimum ratio of points that fall into known cells of the old map: fewer are mostly beside it."""
 _MATCH_COVARIANCE = np.diag([0.05, 0.05, 0.02]) ** 2
 """Variances of the difference of two matches of one scan (m^2, m^2, rad^2)."""
 _TRACKED_MAX_TURN_RAD = 0.05
@@ -48,14 +52,10 @@ class PlaceMatching:
 
     Parameters
     ----------
-    recent_submaps : int
-        Number of most recent submaps that are excluded.
     max_distance_m : float, m
         Largest distance between two key scans to be matched.
-    min_overlap : float
-        Minimum ratio of points that fall into known cells of the old map.
     inlier_ratio : float
-        Minimum inlier ratio of those points.
+        Minimum inlier ratio of the points that fall into known cells of the old map.
     certain_sigma_m : float, m
         Standard deviation of the relative position below which key scans are matched as tracked.
     filter_max_correction_m : float, m
@@ -63,9 +63,7 @@ class PlaceMatching:
         attracted it.
     """
 
-    recent_submaps: int = bounded(3, ge=1, le=1_000_000)
     max_distance_m: float = bounded(4.0, ge=1e-6, le=1e6)
-    min_overlap: float = bounded(0.6, ge=1e-6, le=1)
     inlier_ratio: float = bounded(0.67, ge=1e-6, le=1)
     certain_sigma_m: float = bounded(0.15, ge=1e-6, le=100)
     filter_max_correction_m: float = bounded(1.2, ge=1e-6, le=1e6)
@@ -102,7 +100,7 @@ class PlaceMatching:
         """
         away = maps.distances(ROW, pose[None], points)[0]
         known = maps.is_known(0, points, pose) | (away < _MATCHER.cauchy_m)
-        if known.mean() < self.min_overlap:
+        if known.mean() < _MIN_OVERLAP:
             return False
         return float(cauchy_weights(away[known], _MATCHER.cauchy_m).mean()) >= self.inlier_ratio
 
@@ -113,7 +111,7 @@ class PlaceMatching:
         """
         graph = closure_state.graph
         newest = len(graph) - 1
-        oldest = submap_of(newest) - self.recent_submaps
+        oldest = submap_of(newest) - _RECENT_SUBMAPS
         if oldest < 0 or len(closure_state.scans.key(newest)) < _MATCHER.min_beams:
             return False
         tracked = self._predict_from_last_constraint(graph, oldest)
