@@ -16,7 +16,7 @@ from pathlib import Path
 
 import numpy as np
 from animations_of_parts import bayes_filter, resampling_wheel
-from drives import drive, extent, mapped
+from drives import drive, extent, mapped, pasts
 from film import FRAME_MS, HOLD_MS, Film
 from numpy.typing import NDArray
 from panels import ORANGE, VIOLET, Chart, Panel
@@ -79,7 +79,7 @@ def particles_at_a_loop() -> None:
         resampled = report.parents is not None
         if len(told) % 2 and not resampled and not 86 < len(told) < 100:
             return
-        paths = state.ancestry.trajectories()
+        paths = pasts(state)
         whole = Panel(f"key scan {len(told)}{', resampled' if resampled else ''}", (x0, y0, x1, y1), 240)
         whole.grid(state.maps.occupancy(state.best))
         for path in paths:
@@ -157,7 +157,7 @@ def kidnapping() -> None:
 def closure() -> None:
     """A map bent by odometry while the laser was covered, and what is left of the bend when the loop is closed."""
     bad = OdometryNoise(turn_scale=0.85, bias_rad_per_m=0.02)
-    log = drive("demo", 3, bad, LidarConfig(rate_hz=4.0, beams=90))
+    log = drive("demo", 4, bad, LidarConfig(rate_hz=4.0, beams=90))
     measurements = list(log.measurements)
     for k in range(110, 140):  # the laser is covered for 7.5 s
         scan = measurements[k].scan

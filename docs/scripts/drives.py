@@ -6,11 +6,12 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from gridslam import OccupancyGrid
+from gridslam import GridFastSlamState, OccupancyGrid
 from gridslam.geometry.se2 import between
 from gridslam.grid.tiles import TileMaps
 from gridslam.mapping import OccupancyGridMapping
 from gridslam.sim import LidarConfig, OdometryNoise, RobotConfig, SimulatedLog, make_world, simulate
+from gridslam.types import FloatArray
 
 
 def drive(
@@ -20,6 +21,11 @@ def drive(
     rng = np.random.default_rng(seed)
     robot = RobotConfig(v_max_m_s=1.0)
     return simulate(make_world(world, rng), robot, noise or OdometryNoise(), lidar or LidarConfig(rate_hz=4.0), rng)
+
+
+def pasts(state: GridFastSlamState) -> FloatArray:
+    """Poses (N, T, 3) of all particles at all key scans."""
+    return np.stack([state.ancestry.trajectory(particle) for particle in range(len(state.poses))])
 
 
 def extent(grid: OccupancyGrid, margin: float = 0.5) -> tuple[float, float, float, float]:

@@ -19,7 +19,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from drives import drive, extent, mapped
+from drives import drive, extent, mapped, pasts
 from matplotlib.figure import Figure
 from panels import IMAGES, ORANGE, SIDE, Chart, Panel, keep, save
 from pictures_of_parts import RESULTS, error_budget, measurement_models, motion_models, resampling, scan_matching
@@ -66,7 +66,7 @@ def grid_fastslam() -> None:
             away = state.poses[:, :2] - state.poses[:, :2].mean(0)
             told.append((report.n_eff, float(np.sqrt(np.square(away).sum(1).mean()))))
             if len(told) - 1 in wanted:
-                kept[len(told) - 1] = state.ancestry.trajectories(), state.best, state.maps.occupancy(state.best)
+                kept[len(told) - 1] = pasts(state), state.best, state.maps.occupancy(state.best)
 
     for _ in range(2):  # the first time to find out when the particles are farthest apart
         told.clear()
@@ -222,7 +222,7 @@ def landmarks() -> None:
 def small_copy(name: str, drawn: str, *command: str) -> None:
     """Run a command of gridslam, and keep the picture that it draws, smaller."""
     with tempfile.TemporaryDirectory() as folder:
-        subprocess.run([sys.executable, "-m", "gridslam.cli.main", *command, "-o", folder], check=True)
+        subprocess.run([sys.executable, "-m", "gridslam", *command, "-o", folder], check=True)
         keep(name, Image.open(Path(folder) / drawn), 760)
 
 
@@ -312,7 +312,7 @@ def gridslam(command: str, *arguments: str | Path) -> None:
     given = [str(argument) for argument in arguments]
     options = [word for word in given if word.startswith("--")]
     *inputs, out = [word for word in given if not word.startswith("--")]
-    subprocess.run([sys.executable, "-m", "gridslam.cli.main", command, *inputs, "-o", out, *options], check=True)
+    subprocess.run([sys.executable, "-m", "gridslam", command, *inputs, "-o", out, *options], check=True)
 
 
 PICTURES = (

@@ -237,10 +237,14 @@ def test_bad_option_is_told_before_anything_is_done(call, log, tmp_path, options
     assert message in refused(call, tmp_path, "map", log, "-o", tmp_path / "out", *options)
 
 
-@pytest.mark.parametrize("arguments", [[], ["map"], ["mapp"], ["map", "a.clf"], ["evaluate", "a.tum"], ["--sed"]])
+@pytest.mark.parametrize(
+    "arguments", [[], ["map"], ["mapp"], ["map", "a.clf"], ["evaluate", "a.tum"], ["--sed"], ["dataset"]]
+)
 def test_bad_usage_is_one_line_that_says_where_to_read_on(call, tmp_path, arguments):
     command = "gridslam" if arguments[:1] in ([], ["mapp"], ["--sed"]) else f"gridslam {arguments[0]}"
-    assert refused(call, tmp_path, *arguments).endswith(f" (see {command} --help)\n")
+    problem = refused(call, tmp_path, *arguments)
+    assert problem.endswith(f" (see {command} --help)\n")
+    assert "Usage:" not in problem
 
 
 @pytest.mark.skipif(os.geteuid() == 0, reason="the superuser may write everywhere")

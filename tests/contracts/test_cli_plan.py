@@ -81,7 +81,7 @@ def test_a_run_without_its_log_is_planned_by_its_cells(call, run, tmp_path):
     status, out, err = call(copied, "-o", tmp_path / "plan", "--json")
     assert status == 0
     assert err.count("\n") == 1
-    assert "the log of this run is not there" in err
+    assert "the log or the trajectory of this run is not there" in err
     assert json.loads(out)["made_from"] == "cells"
 
 

@@ -129,5 +129,6 @@ def test_the_maps_of_a_session_are_listed_and_written(call, monday, tmp_path):
     assert (status, err) == (0, "")
     assert "piece 1, monday: 1 drive" in out
     assert "piece 2, other: 1 drive" in out
+    assert f"map: {tmp_path / 'out' / 'other.yaml'}" in out
     written = {path.name for path in (tmp_path / "out").iterdir()}
     assert written == {f"{name}{suffix}" for name in ("monday", "other") for suffix in (".yaml", ".pgm")}

@@ -9,7 +9,7 @@ from typing import Any, Literal
 from gridslam.api.grid import GridModel, GridResult, map_with_poses
 from gridslam.cli import STARTED_S
 from gridslam.cli.options import name_option
-from gridslam.cli.output import open_output, open_progress, print_result, warn
+from gridslam.cli.output import counted, open_output, open_progress, print_result, warn
 from gridslam.io.log import LogOptions, open_log
 from gridslam.mapping.known_poses import NoPoseReason
 from gridslam.pipeline import Stopwatch
@@ -62,7 +62,7 @@ def _summarize(document: dict[str, Any], result: GridResult, out: Path) -> list[
     size = document["map"]
     return [
         f"{result.source.name}: {scans['read']} scans, {result.log.duration_s:.0f} s",
-        f"{scans['used']} scans mapped by a trajectory of {len(result.given)} poses",
+        f"{counted(scans['used'], 'scan')} mapped by a trajectory of {len(result.given)} poses",
         f"mapped in {seconds:.1f} s, {scans['read'] / seconds:.0f} scans/s",
         f"map, {size['width_m']:.1f} m x {size['height_m']:.1f} m: {out / 'map.png'}, {out / 'map.yaml'}",
     ]

@@ -264,9 +264,11 @@ _MAP_OPTIONS = (
     seed_option,
     threads_option,
     click.option("--preset", default="default", show_default=True, help="Preset: default or gmapping."),
-    click.option("--laser", metavar="NAME", help="Laser model; sets its range limits and map resolution (see below)."),
+    click.option(
+        "--laser", metavar="NAME", help="Laser model; sets range limits and cells (listed by gridslam map --help)."
+    ),
     click.option("--config", type=PATH, help="TOML file with parameters; overrides the preset."),
-    assignment_option(help="Set one parameter (see below)."),
+    assignment_option(help="Set one parameter (listed by gridslam map --help)."),
     click.option("--no-loop-closure", is_flag=True, help="Disable loop closure."),
     repair_option(help="Faults to correct before mapping; needed: those that make any map unusable."),
     log_options,

@@ -41,7 +41,8 @@ def show_session(file: Path, out: Path | None, as_json: bool) -> None:
     }
     if out is not None:
         _write_maps(Session.open(file), out)
-    print_result(content, _describe(content), as_json)
+    written = (f"map: {out / name}.yaml" for name in names if out is not None)
+    print_result(content, [*_describe(content), *written], as_json)
 
 
 def _of_run(run: dict[str, Any]) -> list[dict[str, Any]]:

@@ -236,7 +236,7 @@ def read_map_description(path: str | Path) -> MapDescription:
     if not isinstance(image, str):
         raise InputError(path, f"expected the name of an image, got {image!r}", line)
     remarks: list[str] = []
-    image = _find_image(Path(path).parent, image, remarks)
+    image = _find_image(Path(path), image, line, remarks)
     resolution = _finite(path, "resolution", *fields["resolution"])
     if not _FINEST_M <= resolution <= _COARSEST_M:
         problem = f"expected a resolution from {_FINEST_M:g} to {_COARSEST_M:g} m, got {resolution:g}"
@@ -266,15 +266,17 @@ def read_map_description(path: str | Path) -> MapDescription:
     return MapDescription(image, resolution, (x, y), negated, high, low, mode.lower(), tuple(remarks), yaw)
 
 
-def _find_image(folder: Path, name: str, remarks: list[str]) -> str:
+def _find_image(path: Path, name: str, line: int, remarks: list[str]) -> str:
     """Return the image as it is named; where it is not there, the one of its name beside the YAML file, with a remark.
 
     Maps are often moved with an absolute path, one of Windows or one from the home folder in them.
     """
     beside = PureWindowsPath(name).name  # which knows both separators
     try:
-        if (folder / name).exists() or not (folder / beside).is_file():
+        if (path.parent / name).exists():
             return name
+        if not path.with_name(beside).is_file():
+            raise InputError(path, f"the image {name} is not there, nor {beside} beside this file", line)
     except (OSError, ValueError):  # no name that a file can have
         return name
     remarks.append(f"the image {name} is not there: {beside} beside the YAML file is read")

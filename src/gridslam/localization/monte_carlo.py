@@ -286,7 +286,7 @@ class MonteCarloLocalization:
             twist = np.array(state.tracked.tracker.twist)
         else:
             twist = log(between(last.pose, odometry.pose)) / (1e-9 * (odometry.stamp_ns - last.stamp_ns))
-        if not len(state.poses):
+        if not len(state.poses) or not len(beams):
             return beams.deskew(twist)
         guess = compose(state.estimate.pose, moved)
 

@@ -74,7 +74,7 @@ def _read_folder(out: Path, on_remark: Callable[[str], None]) -> MapSource:
     source = document.get("input")
     log = _find_log(out, source) if isinstance(source, dict) else None
     if log is None or not (out / "trajectory.tum").is_file():
-        on_remark(f"{out}: the log of this run is not there: walls are taken from the cells of its map")
+        on_remark(f"{out}: the log or the trajectory of this run is not there: walls are taken from its map")
         return MapSource(grid, name)
     poses = KnownPoses(read_tum(out / "trajectory.tum"))
     path: list[FloatArray] = []

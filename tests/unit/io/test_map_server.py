@@ -105,6 +105,7 @@ def test_what_is_odd_about_a_map_is_remarked(tmp_path, yaml, pixels, remark):
         (YAML.replace("2, 0]", "nan, 0]"), 3, "number for origin"),
         (YAML.replace("negate: 0", "negate: maybe"), 4, "negate"),
         (YAML.replace("0.196", "0.7"), 6, "free_thresh"),
+        (YAML.replace("map.pgm", "/home/me/gone.pgm"), 1, "image /home/me/gone.pgm is not there, nor gone.pgm beside"),
         (YAML + "mode: grey\n", 7, "mode"),
         (YAML + "nonsense\n", 7, "key: value"),
         (YAML + "negate: 0\n", 7, "once"),

@@ -152,6 +152,20 @@ def test_scans_that_do_not_update_say_why(known, log):
     assert report.poses is None
 
 
+def test_a_scan_without_a_valid_beam_does_not_say_in_which_order_beams_are_measured(known, log):
+    """Where no beam is left there is no inlier ratio: NumPy warned of 0 / 0, and the warning was printed."""
+    mcl, rng = MonteCarloLocalization(known), np.random.default_rng(0)
+    state = mcl.init_gaussian(log.truth.poses[0], SPREAD, rng)
+    first, scan = log.measurements[0]
+    state, _ = mcl.step(state, first, scan, rng)
+    odometry = Odometry(first.stamp_ns + 100_000_000, first.pose + np.array([0, 0, 0.2]))
+    blind = np.full(len(scan), BeamStatus.NO_RETURN, np.uint8)
+    times = np.linspace(0, 0.15, len(scan))
+    turned = LaserScan(odometry.stamp_ns, scan.ranges, blind, scan.geometry, beam_times_s=times)
+    _, report = mcl.step(state, odometry, turned, rng)
+    assert report.skipped is LocalizationSkip.NO_VALID_BEAM
+
+
 def test_between_updates_the_pose_goes_on_by_odometry_and_grows_less_sure(known, log):
     parts = MonteCarloConfiguration(matcher=GaussNewton(max_iterations=0))
     mcl = MonteCarloLocalization(known, parts)

@@ -42,7 +42,7 @@ def convert_command() -> None:
     """
 
 
-@click.group("dataset")
+@click.group("dataset", no_args_is_help=False)
 def dataset_command() -> None:
     """Download public logs."""
 

@@ -39,7 +39,7 @@ def plan_command() -> None:
 @json_option
 @calls("plan:changes_to_folder")
 def changes_command() -> None:
-    """Show the objects removed from a building and the new ones, by two maps.
+    """Show the objects removed from a building and the new ones, by two maps (extra: map).
 
     FIRST and SECOND are each a map's YAML file, or the folder OUT of `gridslam map`. What either has not
     seen is left open.

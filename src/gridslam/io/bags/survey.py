@@ -312,8 +312,8 @@ def _child(seen: Survey, odometry: str, above: list[list[str]], remarks: list[st
         return child
     found = base or "base_link"
     if seen.links:
-        named = f"{child}, which no transform names" if child else "no frame"
-        remarks.append(f"{odometry} has the child frame {named}: used as {found} (--base-frame)")
+        named = f"the child frame {child}, which no transform names" if child else "no child frame"
+        remarks.append(f"{odometry} has {named}: {found} is used (--base-frame)")
     return found
 
 
