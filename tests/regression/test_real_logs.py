@@ -14,10 +14,12 @@ from gridslam.api.mapping import map_log
 from gridslam.errors import InputError
 from gridslam.evaluation import measure_self_consistency, relation_errors
 from gridslam.evaluation.trajectory import absolute_errors
+from gridslam.geometry.se2 import between
 from gridslam.io.bags.bag import BagLog
 from gridslam.io.carmen.writer import write_carmen
 from gridslam.io.log import LogOptions, open_log
 from gridslam.io.trajectories import read_relations
+from gridslam.slam.full_slam.merging import merge_pieces
 from gridslam.types import Trajectory
 from support.real_logs import ACES, CSAIL, INTEL, SPARSE, Backwards, check_seed, errors_of, poses_of
 
@@ -198,3 +200,16 @@ def test_logs_driven_backwards(data_dir, band, most_m):
     assert len(result.trajectory) == band.scans
     errors = relation_errors(log.turn(result.trajectory), read_relations(data_dir / band.relations))
     assert errors.trans_mean_m <= most_m
+
+
+def test_drives_among_people_are_merged_in_either_order(data_dir):
+    """The scans of the first contradict the map of the second, but not the other way round."""
+    logs = [data_dir / "loops" / f"wean{number}.clf.gz" for number in (1, 2)]
+    pieces = [gridslam.map_log(log).map_piece.piece for log in logs]
+    configuration = gridslam.Configuration()
+    parts = configuration.mapper, configuration.loop_closure
+    (there,), (back,) = merge_pieces(pieces, *parts), merge_pieces(pieces[::-1], *parts)
+    first, second = len(pieces[0]), len(pieces[1])
+    seen = between(there.piece.poses[0], there.piece.poses[first])
+    again = between(back.piece.poses[second], back.piece.poses[0])
+    assert np.abs(seen - again).max() < 0.1

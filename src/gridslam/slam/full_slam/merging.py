@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from itertools import islice
 from typing import NamedTuple, final
 
 import numpy as np
@@ -14,6 +15,7 @@ from gridslam.slam.full_slam.earlier_pieces import EarlierPieces
 from gridslam.slam.loop_closure.constraints import Constraint
 from gridslam.slam.loop_closure.loop_closure import LoopClosure
 from gridslam.slam.loop_closure.map_piece import MapPiece, PieceMatch
+from gridslam.slam.loop_closure.place_matching import PlaceMatching
 from gridslam.slam.loop_closure.state import LoopClosureState
 from gridslam.types import FloatArray, IntArray
 
@@ -24,6 +26,8 @@ _GOLDEN_RATIO = 0.618
 """Windows are aligned in an order by it, so that the first few are spread over the piece."""
 _ENOUGH = 3
 """Number of agreeing windows that join two pieces; the final refinement finds further overlaps."""
+_MOST_WINDOWS = 12
+"""Number of windows of an earlier piece that are aligned with a later one, 0.1 s each."""
 _AGREE_M = 1.0
 _AGREE_RAD = 0.1
 """Windows agree if they have one piece's frame in the other this close together; drives bend by less in 40 m."""
@@ -46,6 +50,14 @@ class MergedPiece(NamedTuple):
 
 
 @final
+class _Place(NamedTuple):
+    """Where a piece lies in another one: its frame (3,) in that of the other, and the constraints."""
+
+    frame: FloatArray
+    constraints: list[Constraint]
+
+
+@final
 class _Link(NamedTuple):
     """Two pieces that show the same places: the frame of `to` (3,) in that of `from_`, and the constraints."""
 
@@ -63,8 +75,8 @@ def merge_pieces(
 ) -> list[MergedPiece]:
     """Merge pieces that show the same places; the others stay apart.
 
-    Each piece is searched in each one before it. Links of two pieces are taken in the order of how many constraints
-    they have; those that contradict what is joined already are left out.
+    Each piece is searched in each one before it, or that one in it. Links of two pieces are taken in the order of how
+    many constraints they have; those that contradict what is joined already are left out.
 
     Parameters
     ----------
@@ -84,7 +96,7 @@ def merge_pieces(
     for to, later in enumerate(pieces):
         for from_, earlier in enumerate(pieces[:to]):
             on_progress()
-            link = _link(earlier, later, mapper, closure)
+            link = _link(earlier, later, mapper, closure.places)
             if link is not None:
                 links.append(_Link(from_, to, *link))
     links.sort(key=lambda link: (-len(link.constraints), link.from_, link.to))
@@ -96,18 +108,32 @@ def merge_pieces(
     return merged
 
 
-def _link(
+def _link(earlier: MapPiece, later: MapPiece, mapper: OccupancyGridMapping, places: PlaceMatching) -> _Place | None:
+    """Find where one piece shows the same places as another; None if that is not certain.
+
+    The later one is located in the map of the earlier one, or else that one in its map: where people walk about in one
+    of the drives its scans contradict the other's map, whereas the other's scans fit its own.
+    """
+    link = _locate(earlier, later, _windows(later), mapper, places)
+    if link is None:
+        link = _locate(later, earlier, islice(_windows(earlier), _MOST_WINDOWS), mapper, places)
+        link = link and _Place(inverse(link.frame), [constraint.reverse() for constraint in link.constraints])
+    return link
+
+
+def _locate(
     earlier: MapPiece,
     later: MapPiece,
+    windows: Iterable[IntArray],
     mapper: OccupancyGridMapping,
-    closure: LoopClosure,
-) -> tuple[FloatArray, list[Constraint]] | None:
-    """The frame (3,) of a piece in another one's, and constraints between them; None if that is not certain."""
-    located = EarlierPieces([earlier], mapper, closure.places)
+    places: PlaceMatching,
+) -> _Place | None:
+    """Locate windows (K,) of a piece in the map of another one; most of those that are found must agree."""
+    located = EarlierPieces([earlier], mapper, places)
     state = LoopClosureState(scans=later.scans, graph=later.graph)
     poses = later.poses
-    groups: list[list[tuple[FloatArray, list[Constraint]]]] = []
-    for window in _windows(later):
+    groups: list[list[_Place]] = []
+    for window in windows:
         found = located.align(state, 0, window)
         if found is None:
             continue
@@ -115,11 +141,11 @@ def _link(
         middle = len(window) // 2
         frame = compose(match.poses[window[middle]], inverse(poses[window[middle]]))
         for group in groups:
-            if _agree(group[0][0], frame, poses[window[middle]]):
-                group.append((frame, match.constraints))
+            if _agree(group[0].frame, frame, poses[window[middle]]):
+                group.append(_Place(frame, match.constraints))
                 break
         else:
-            groups.append([(frame, match.constraints)])
+            groups.append([_Place(frame, match.constraints)])
         groups.sort(key=len, reverse=True)
         if len(groups[0]) >= _ENOUGH + sum(map(len, groups[1:])):
             break
@@ -127,9 +153,9 @@ def _link(
         whole = located.align(state, 0, np.arange(len(later)))
         if whole is None:
             return None
-        return compose(whole.match.poses[0], inverse(poses[0])), whole.match.constraints
-    joined = {constraint.pair: constraint for _, constraints in groups[0] for constraint in constraints}
-    return groups[0][0][0], list(joined.values())
+        return _Place(compose(whole.match.poses[0], inverse(poses[0])), whole.match.constraints)
+    joined = {constraint.pair: constraint for link in groups[0] for constraint in link.constraints}
+    return _Place(groups[0][0].frame, list(joined.values()))
 
 
 def _windows(piece: MapPiece) -> Iterator[IntArray]:

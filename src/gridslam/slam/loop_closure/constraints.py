@@ -10,7 +10,7 @@ from typing import Annotated, NamedTuple, final
 import numpy as np
 
 from gridslam.arguments import index_of
-from gridslam.geometry.se2 import between, rotate_covariances
+from gridslam.geometry.se2 import adjoint, between, inverse, rotate_covariances
 from gridslam.matching.gauss_newton import degenerate_direction
 from gridslam.types import FloatArray, IntArray, Match
 
@@ -57,6 +57,13 @@ class Constraint(NamedTuple):
     def identity(self) -> tuple[int, int, bytes]:
         """Key scans and measurement, by which a constraint is found again among others."""
         return self.from_, self.to, self.measurement.tobytes()
+
+    def reverse(self) -> Constraint:
+        """Return the same measurement as the pose of `from_` seen from `to`."""
+        measurement = inverse(self.measurement)
+        turned = adjoint(measurement)
+        information = turned.T @ self.information @ turned
+        return self._replace(from_=self.to, to=self.from_, measurement=measurement, information=information)
 
     @classmethod
     def from_match(
