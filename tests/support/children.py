@@ -13,13 +13,14 @@ from pathlib import Path
 
 CPU_LIMIT_S = 20  # of CPU time, to which other work on the machine adds nothing
 _PATIENCE_S = 200  # for what waits
-MEMORY_LIMIT_BYTES = 2 << 30
+MEMORY_LIMIT_BYTES = 2 << 30  # beside what this process has already
 _ADDRESSES = 4 << 30  # more than the process has
 
 
 def run_in_child(function: Callable[[], str]) -> str:
     """What the function returns, or how it failed: an exception, a signal, no end, too much memory."""
     receiver, sender = os.pipe()
+    _, own = _read_memory()
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # of other threads, that the case does not need
         process = os.fork()
@@ -34,9 +35,17 @@ def run_in_child(function: Callable[[], str]) -> str:
         number = os.WTERMSIG(status)
         hangs = number in (signal.SIGALRM, signal.SIGXCPU, signal.SIGKILL)
         return f"hang: not done after {CPU_LIMIT_S} s" if hangs else signal.Signals(number).name
-    if used.ru_maxrss * 1024 > MEMORY_LIMIT_BYTES:
-        return f"memory: {used.ru_maxrss / 1e6:.1f} GB, {verdict}"
+    taken = used.ru_maxrss * 1024 - own
+    if taken > MEMORY_LIMIT_BYTES:
+        return f"memory: {taken / 1e9:.1f} GB, {verdict}"
     return verdict
+
+
+def _read_memory() -> tuple[int, int]:
+    """Bytes of this process: of addresses, and in memory."""
+    addresses, resident, *_ = Path("/proc/self/statm").read_text().split()
+    page = os.sysconf("SC_PAGE_SIZE")
+    return int(addresses) * page, int(resident) * page
 
 
 def _run(function: Callable[[], str], sender: int) -> None:
@@ -46,7 +55,7 @@ def _run(function: Callable[[], str], sender: int) -> None:
         faulthandler.disable()
         signal.signal(signal.SIGALRM, signal.SIG_DFL)
         signal.alarm(_PATIENCE_S)
-        own = int(Path("/proc/self/statm").read_text().split()[0]) * os.sysconf("SC_PAGE_SIZE")
+        own, _ = _read_memory()
         resource.setrlimit(resource.RLIMIT_CPU, (CPU_LIMIT_S, CPU_LIMIT_S + 5))
         resource.setrlimit(resource.RLIMIT_AS, (own + _ADDRESSES,) * 2)
         resource.setrlimit(resource.RLIMIT_CORE, (0, 0))

@@ -35,11 +35,14 @@ def require_writable(path: Path, *, is_folder: bool) -> None:
     if not is_folder and os.path.exists(path) and not path.is_file():
         got = "an existing folder" if path.is_dir() else "a device or a pipe"
         raise OutputError(f"{path}: expected the name of a file, got {got}")
+    folder = ""
     try:
         with _new_staging(above, path.name) as folder:
             Path(folder, path.relative_to(above)).mkdir(parents=True, exist_ok=True)  # whether there can be such names
     except OSError as error:
         raise OutputError(f"{path}: cannot be written: {error.strerror or error}") from None
+    finally:
+        shutil.rmtree(folder, ignore_errors=True)  # where an interrupt came while it was removed
 
 
 def _new_staging(parent: Path, name: str) -> TemporaryDirectory[str]:

@@ -3,6 +3,7 @@
 import json
 import subprocess
 import sys
+import tempfile
 import time
 
 import numpy as np
@@ -10,7 +11,7 @@ import pytest
 
 from gridslam.errors import OutputError
 from gridslam.io import output
-from gridslam.io.output import OutputFolder, remove_abandoned, write_atomically
+from gridslam.io.output import OutputFolder, remove_abandoned, require_writable, write_atomically
 
 
 def listing(folder):
@@ -130,3 +131,15 @@ def test_what_a_killed_process_has_left_is_removed_by_its_name(tmp_path):
     assert {path.name for path in tmp_path.iterdir()} == {".run.2.abcdefg8.partial", ".other.abcdefg8.partial", "run"}
     remove_abandoned(tmp_path)
     assert [path.name for path in tmp_path.iterdir()] == ["run"]
+
+
+def test_an_interrupt_while_a_check_is_cleaned_up_leaves_nothing(tmp_path, monkeypatch):
+    """The folder that is made to see whether there can be one is removed, whenever the user interrupts."""
+
+    def interrupt(*args, **kwargs):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(tempfile.TemporaryDirectory, "_rmtree", interrupt)
+    with pytest.raises(KeyboardInterrupt):
+        require_writable(tmp_path / "out", is_folder=True)
+    assert not list(tmp_path.iterdir())
