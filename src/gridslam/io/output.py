@@ -9,7 +9,7 @@ import json
 import os
 import shutil
 from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from glob import escape
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -47,12 +47,23 @@ def require_writable(path: Path, *, is_folder: bool) -> None:
 
 def _new_staging(parent: Path, name: str) -> TemporaryDirectory[str]:
     """Create a folder .NAME.XXXXXXXX.partial from which NAME is published; it is removed when the process ends."""
-    return TemporaryDirectory(".partial", f".{name}.", parent, ignore_cleanup_errors=True)
+    try:
+        return TemporaryDirectory(".partial", f".{name}.", parent, ignore_cleanup_errors=True)
+    except KeyboardInterrupt:  # the folder may be there already, though its name was not returned
+        for left in _find_staging(parent, name):
+            with suppress(OSError):  # what holds something is another process's
+                left.rmdir()
+        raise
+
+
+def _find_staging(folder: Path, name: str) -> Iterator[Path]:
+    """Find the temporary folders of NAME, or of all names."""
+    return folder.glob(f".{escape(name) or '*'}.{_RANDOM}.partial")
 
 
 def remove_abandoned(folder: Path, name: str = "") -> None:
     """Remove the temporary folders of killed processes: those of NAME, or of all names."""
-    for left in folder.glob(f".{escape(name) or '*'}.{_RANDOM}.partial"):
+    for left in _find_staging(folder, name):
         shutil.rmtree(left, ignore_errors=True)
 
 

@@ -1,6 +1,7 @@
 """All files of a run, or none."""
 
 import json
+import os
 import subprocess
 import sys
 import tempfile
@@ -143,3 +144,20 @@ def test_an_interrupt_while_a_check_is_cleaned_up_leaves_nothing(tmp_path, monke
     with pytest.raises(KeyboardInterrupt):
         require_writable(tmp_path / "out", is_folder=True)
     assert not list(tmp_path.iterdir())
+
+
+def test_an_interrupt_while_the_folder_aside_is_made_leaves_nothing(tmp_path, monkeypatch):
+    """It comes when the folder is there, before its name is returned; what another run has written stays."""
+    (tmp_path / ".out.12345678.partial" / "out").mkdir(parents=True)
+
+    make = os.mkdir
+
+    def interrupt(name, *args):
+        make(name)
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("tempfile._os.mkdir", interrupt)
+    with pytest.raises(KeyboardInterrupt), OutputFolder(tmp_path / "out"):
+        pass
+    monkeypatch.undo()
+    assert [path.name for path in tmp_path.iterdir()] == [".out.12345678.partial"]
