@@ -50,8 +50,8 @@ def test_amcl_s_topics_have_nav2_s_names_and_types(map_file, log):
     assert transport.published["amcl_pose"] == "geometry_msgs/PoseWithCovarianceStamped"
     assert transport.published["particle_cloud"] == "nav2_msgs/ParticleCloud"
     play(node.core, outputs, log.measurements[:30], shift_ns=SHIFT_NS)
-    assert until(lambda: len(outputs.poses) == 30)
-    assert 3 <= len(outputs.updated_poses) == len(outputs.clouds) < 30
+    assert until(lambda: len(outputs.poses) == 30 and len(outputs.updated_poses) == len(outputs.clouds))
+    assert 3 <= len(outputs.clouds) < 30
     np.testing.assert_allclose([cloud.weights.sum() for cloud in outputs.clouds], 1.0)
     node.close()
     assert "particle_cloud" not in RosNode(LocalTransport(), node_parameters({}, "default"))._transport.published
