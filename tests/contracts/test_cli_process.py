@@ -86,6 +86,30 @@ def test_further_interrupts_print_no_traceback(log, tmp_path, pause_s):
     assert not list(out.iterdir())
 
 
+SWALLOWED = """
+import os, signal
+from gridslam.cli.output import handle_signals, stop_if_interrupted
+class Dying:
+    def __del__(self):
+        os.kill(os.getpid(), {number})
+        print("never printed")
+with handle_signals():
+    dying = Dying()
+    del dying
+    try:
+        stop_if_interrupted()
+    except KeyboardInterrupt:
+        print("stopped")
+"""
+
+
+def test_an_interrupt_that_python_swallows_is_repeated_and_not_reported():
+    """One that comes in a destructor, or in a callback of an import."""
+    program = SWALLOWED.format(number=int(signal.SIGINT))
+    run = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, timeout=60)
+    assert (run.returncode, run.stdout, run.stderr) == (0, "stopped\n", "")
+
+
 @pytest.mark.parametrize(
     ("command", "closed"),
     [("map", (0, 1, 2)), ("--version", (1,)), ("missing", (2,)), ("batch", (0, 1, 2))],

@@ -50,14 +50,6 @@ class MergedPiece(NamedTuple):
 
 
 @final
-class _Place(NamedTuple):
-    """Where a piece lies in another one: its frame (3,) in that of the other, and the constraints."""
-
-    frame: FloatArray
-    constraints: list[Constraint]
-
-
-@final
 class _Link(NamedTuple):
     """Two pieces that show the same places: the frame of `to` (3,) in that of `from_`, and the constraints."""
 
@@ -108,8 +100,10 @@ def merge_pieces(
     return merged
 
 
-def _link(earlier: MapPiece, later: MapPiece, mapper: OccupancyGridMapping, places: PlaceMatching) -> _Place | None:
-    """Find where one piece shows the same places as another; None if that is not certain.
+def _link(
+    earlier: MapPiece, later: MapPiece, mapper: OccupancyGridMapping, places: PlaceMatching
+) -> tuple[FloatArray, list[Constraint]] | None:
+    """Find the frame (3,) of a piece in another one's, and constraints between them; None if that is not certain.
 
     The later one is located in the map of the earlier one, or else that one in its map: where people walk about in one
     of the drives its scans contradict the other's map, whereas the other's scans fit its own.
@@ -117,7 +111,7 @@ def _link(earlier: MapPiece, later: MapPiece, mapper: OccupancyGridMapping, plac
     link = _locate(earlier, later, _windows(later), mapper, places)
     if link is None:
         link = _locate(later, earlier, islice(_windows(earlier), _MOST_WINDOWS), mapper, places)
-        link = link and _Place(inverse(link.frame), [constraint.reverse() for constraint in link.constraints])
+        link = link and (inverse(link[0]), [constraint.reverse() for constraint in link[1]])
     return link
 
 
@@ -127,12 +121,12 @@ def _locate(
     windows: Iterable[IntArray],
     mapper: OccupancyGridMapping,
     places: PlaceMatching,
-) -> _Place | None:
+) -> tuple[FloatArray, list[Constraint]] | None:
     """Locate windows (K,) of a piece in the map of another one; most of those that are found must agree."""
     located = EarlierPieces([earlier], mapper, places)
     state = LoopClosureState(scans=later.scans, graph=later.graph)
     poses = later.poses
-    groups: list[list[_Place]] = []
+    groups: list[list[tuple[FloatArray, list[Constraint]]]] = []
     for window in windows:
         found = located.align(state, 0, window)
         if found is None:
@@ -141,11 +135,11 @@ def _locate(
         middle = len(window) // 2
         frame = compose(match.poses[window[middle]], inverse(poses[window[middle]]))
         for group in groups:
-            if _agree(group[0].frame, frame, poses[window[middle]]):
-                group.append(_Place(frame, match.constraints))
+            if _agree(group[0][0], frame, poses[window[middle]]):
+                group.append((frame, match.constraints))
                 break
         else:
-            groups.append([_Place(frame, match.constraints)])
+            groups.append([(frame, match.constraints)])
         groups.sort(key=len, reverse=True)
         if len(groups[0]) >= _ENOUGH + sum(map(len, groups[1:])):
             break
@@ -153,9 +147,9 @@ def _locate(
         whole = located.align(state, 0, np.arange(len(later)))
         if whole is None:
             return None
-        return _Place(compose(whole.match.poses[0], inverse(poses[0])), whole.match.constraints)
-    joined = {constraint.pair: constraint for link in groups[0] for constraint in link.constraints}
-    return _Place(groups[0][0].frame, list(joined.values()))
+        return compose(whole.match.poses[0], inverse(poses[0])), whole.match.constraints
+    joined = {constraint.pair: constraint for _, constraints in groups[0] for constraint in constraints}
+    return groups[0][0][0], list(joined.values())
 
 
 def _windows(piece: MapPiece) -> Iterator[IntArray]:
