@@ -113,7 +113,7 @@ def _interrupt(number: int, frame: FrameType | None) -> None:
 
 
 def _report_unraisable(swallowed: sys.UnraisableHookArgs) -> None:
-    """Report what Python swallows in destructors and callbacks, but for an interrupt: see `stop_if_interrupted`."""
+    """Report an exception of a destructor or callback, but for an interrupt: see `stop_if_interrupted`."""
     if not isinstance(swallowed.exc_value, _Interrupted):
         sys.__unraisablehook__(swallowed)
 
