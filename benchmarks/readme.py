@@ -56,15 +56,13 @@ def block() -> str:
 def scoreboard() -> str:
     """Return the generated part of docs/scoreboard.md: all logs and variants."""
     suite = _read("suite.json")
-    ratio = suite.get("ratio", {"to": "", "logs": {}})
-    head = ["log", "variant", "seeds", *(row.name for row in _ROWS), f"CPU time beside {ratio['to']}"]
+    head = ["log", "variant", "seeds", *(row.name for row in _ROWS)]
     rows: list[list[object]] = []
     for log, variants in suite["cells"].items():
         for variant, cell in variants.items():
-            cost = ratio["logs"].get(log, {}).get(variant, {}).get("cpu_s")
             failed = f", {cell['failed']} failed" if cell["failed"] else ""
             figures = [_write(row, cell) for row in _ROWS]
-            rows.append([log, variant, f"{cell['seeds']}{failed}", *figures, "" if cost is None else f"{cost:.2f}"])
+            rows.append([log, variant, f"{cell['seeds']}{failed}", *figures])
     return f"{_describe_machine(suite)}\n\n{table(head, rows)}\n"
 
 
@@ -79,12 +77,9 @@ def _describe_machine(suite: Mapping[str, Any]) -> str:
 def _describe_ratio(suite: Mapping[str, Any]) -> str:
     ratio = suite["ratio"]
     changes = [
-        f"{_LOGS[log]} {variants['default']['error_m']:.2f} times the error and "
-        f"{variants['default']['cpu_s']:.2f} times the CPU time"
-        for log, variants in ratio["logs"].items()
-        if log in _LOGS
+        f"{_LOGS[log]} {variants['default']['error_m']:.2f}" for log, variants in ratio["logs"].items() if log in _LOGS
     ]
-    return f"Beside commit {ratio['to'][:7]}: {'; '.join(changes)}."
+    return f"Errors as ratios to those of commit {ratio['to'][:7]}: {', '.join(changes)}."
 
 
 def quoted() -> list[str]:

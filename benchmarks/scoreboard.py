@@ -33,6 +33,8 @@ VARIANTS["filter"] = {"no-loop-closure": "true"}
 FIGURES = {"error_m": 6, "error_rad": 7, "worst_m": 6, "sharpness_m": 5, "cpu_s": 2, "peak_memory_bytes": 0}
 """Figures of a run, and the decimals that are kept."""
 
+_ERRORS = "error_m", "error_rad"
+
 
 def main(arguments: Sequence[str] | None = None) -> Path:
     """Collect, and write the file; returns its path."""
@@ -42,7 +44,7 @@ def main(arguments: Sequence[str] | None = None) -> Path:
     )
     parser.add_argument("--manifest", action="store_true", help="write what gridslam batch is to run")
     parser.add_argument("--data", type=Path, default=RESULTS.parents[2] / "shared" / "data", help="folder of logs")
-    parser.add_argument("--beside", type=Path, help="an earlier file, to which the ratios are")
+    parser.add_argument("--beside", type=Path, help="an earlier file, with whose errors these are compared")
     parser.add_argument("--commit", help="commit that was run, if it is not the present one")
     parser.add_argument("-o", "--out", type=Path, default=RESULTS / "suite.json")
     given = parser.parse_args(arguments)
@@ -102,12 +104,12 @@ def interval(values: Sequence[float], decimals: int) -> dict[str, float]:
 
 
 def ratios(cells: Mapping[str, Any], earlier: Mapping[str, Any]) -> dict[str, dict[str, dict[str, float]]]:
-    """Means divided by those of an earlier scoreboard."""
+    """Mean errors divided by those of an earlier scoreboard; costs are compared by `speed.py`, on one machine."""
     found: dict[str, dict[str, dict[str, float]]] = {}
     for log, variants in cells.items():
         for variant, cell in variants.items():
             before = earlier["cells"].get(log, {}).get(variant, {})
-            means = {name: before[name]["mean"] for name in FIGURES if "mean" in before.get(name, {})}
+            means = {name: before[name]["mean"] for name in _ERRORS if name in before}
             told = {name: round(cell[name]["mean"] / mean, 3) for name, mean in means.items() if name in cell}
             if told:
                 found.setdefault(log, {})[variant] = told

@@ -93,7 +93,7 @@ class Dying:
     def __del__(self):
         os.kill(os.getpid(), {number})
         print("never printed")
-with handle_signals():
+with handle_signals(until_exit=True):
     dying = Dying()
     del dying
     try:

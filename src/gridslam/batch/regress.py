@@ -140,10 +140,9 @@ def compare_batches(
         for name, row in zip(failed, pair, strict=True):
             failed[name] += [folder] if row["status"] == "failed" else []
     if len(both) < LEAST_PAIRS:
-        problem = (
-            f"expected at least {LEAST_PAIRS} runs that are in {old}, too, got {len(both)}: nothing could be found"
+        raise InputError(
+            new, f"expected at least {LEAST_PAIRS} runs that are in {old}, too, got {len(both)}: nothing could be found"
         )
-        raise InputError(new, problem)
     margins = {name: math.log1p(cost_margin if name in _COSTS else error_margin) for name in FIGURES} | {"failed": 0.0}
     return Regression(str(old), str(new), level, len(both), unpaired, failed, find_changes(differences, margins))
 

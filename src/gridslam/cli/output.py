@@ -81,14 +81,14 @@ def handle_signals(*, until_exit: bool = False) -> Iterator[None]:
     if threading.current_thread() is not threading.main_thread():
         numbers = []  # signals are handled by the main thread alone
     before = {number: signal.getsignal(number) for number in numbers}
-    hook, sys.unraisablehook = sys.unraisablehook, _report_unraisable
+    if until_exit:
+        sys.unraisablehook = _report_unraisable
     for number, handler in before.items():
         if handler is not signal.SIG_IGN:  # as SIGHUP by nohup
             signal.signal(number, _interrupt)
     try:
         yield
     finally:
-        sys.unraisablehook = hook
         for number in before:  # the results are written, or gone
             signal.signal(number, signal.SIG_IGN if until_exit else before[number])
 

@@ -35,25 +35,35 @@ def require_writable(path: Path, *, is_folder: bool) -> None:
     if not is_folder and os.path.exists(path) and not path.is_file():
         got = "an existing folder" if path.is_dir() else "a device or a pipe"
         raise OutputError(f"{path}: expected the name of a file, got {got}")
-    folder = ""
     try:
-        with _new_staging(above, path.name) as folder:
+        with _Staging(above, path.name) as folder:
             Path(folder, path.relative_to(above)).mkdir(parents=True, exist_ok=True)  # whether there can be such names
     except OSError as error:
         raise OutputError(f"{path}: cannot be written: {error.strerror or error}") from None
-    finally:
-        shutil.rmtree(folder, ignore_errors=True)  # where an interrupt came while it was removed
 
 
-def _new_staging(parent: Path, name: str) -> TemporaryDirectory[str]:
-    """Create a folder .NAME.XXXXXXXX.partial from which NAME is published; it is removed when the process ends."""
-    try:
-        return TemporaryDirectory(".partial", f".{name}.", parent, ignore_cleanup_errors=True)
-    except KeyboardInterrupt:  # the folder may be there already, though its name was not returned
-        for left in _find_staging(parent, name):
-            with suppress(OSError):  # what holds something is another process's
-                left.rmdir()
-        raise
+@final
+class _Staging(TemporaryDirectory[str]):
+    """A folder .NAME.XXXXXXXX.partial from which NAME is published.
+
+    It is removed when the process ends at the latest, also where an interrupt comes while it is made or removed.
+    """
+
+    def __init__(self, parent: Path, name: str) -> None:
+        try:
+            super().__init__(".partial", f".{name}.", parent, ignore_cleanup_errors=True)
+        except KeyboardInterrupt:  # the folder may be there already, though its name was not returned
+            for left in _find_staging(parent, name):
+                with suppress(OSError):  # what holds something is another process's
+                    left.rmdir()
+            raise
+
+    def cleanup(self) -> None:
+        """Remove the folder; later interrupts do not disturb it (see `gridslam.cli.output.handle_signals`)."""
+        try:
+            super().cleanup()
+        finally:
+            shutil.rmtree(self.name, ignore_errors=True)
 
 
 def _find_staging(folder: Path, name: str) -> Iterator[Path]:
@@ -101,10 +111,10 @@ def write_atomically(path: str | Path) -> Iterator[Path]:
     Folders above it are made where there are none.
     """
     target = Path(path)
-    staging: TemporaryDirectory[str] | None = None
+    staging: _Staging | None = None
     try:
         target.parent.mkdir(parents=True, exist_ok=True)
-        staging = _new_staging(target.parent, target.name)
+        staging = _Staging(target.parent, target.name)
         aside = Path(staging.name, target.name)
         yield aside
         sync(*aside.rglob("*"), aside)
@@ -159,14 +169,14 @@ class OutputFolder:
         """Name the folder; nothing is touched before the context is entered."""
         self.path = Path(path)
         self._names = names
-        self._staging: TemporaryDirectory[str] | None = None
+        self._staging: _Staging | None = None
 
     def __enter__(self) -> OutputFolder:
         """Check that OUT can be written and create the temporary folder, in OUT or else in the folder above."""
         above = _find_folder(self.path, self.path)
         try:
             self._require_no_folders(self._names)
-            self._staging = _new_staging(above, self.path.name)
+            self._staging = _Staging(above, self.path.name)
             self._aside = Path(self._staging.name, "out")
             self._aside.mkdir()
         except OSError as error:

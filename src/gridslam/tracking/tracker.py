@@ -108,9 +108,9 @@ class Tracker:
         ratio, too; between scans that are far apart, where else none would be matched, the least of a match will do.
     slip_m : float, m
         A match that moves the position farther than this from the odometry, and than four of the odometry's standard
-        deviations, requires a gain in inliers: wheel slip or delayed odometry. Else something
-        misled it (a person walking along, the dotted far end of a bare corridor, a scan smeared by a fast turn): the
-        position keeps the odometry, and only the heading is taken.
+        deviations, requires a gain in inliers: wheel slip or delayed odometry. Else something misled it (a person
+        walking along, the dotted far end of a bare corridor, a scan smeared by a fast turn): the position keeps the
+        odometry, and only the heading is taken.
     deskew : bool
         Whether scans with beam times are deskewed, by the motion that their match yields and in the order of the beams
         that fits the map best; else they are taken as they are.

@@ -188,9 +188,8 @@ def poses_of_pairs(old: SubmapFeatures, new: SubmapFeatures, pairs: IntArray, mo
     first, second = np.nonzero(np.triu(is_same & (apart_m > _LEAST_BASE_M)))
     in_old, in_new = a[second] - a[first], b[second] - b[first]
     headings = wrap(np.arctan2(in_old[:, 1], in_old[:, 0]) - np.arctan2(in_new[:, 1], in_new[:, 0]))
-    fits = np.abs(wrap(headings - turns[first])) < _SAME_RAD
-    fits &= np.abs(wrap(headings - turns[second])) < _SAME_RAD
-    chosen = np.flatnonzero(fits)
+    away = np.abs(wrap(headings - turns[np.stack([first, second])]))
+    chosen = np.flatnonzero((away < _SAME_RAD).all(axis=0))
     chosen = chosen[:: max(1, -(-len(chosen) // most))]
     first, second = first[chosen], second[chosen]
     poses = np.column_stack([np.zeros((len(chosen), 2)), headings[chosen]])
