@@ -9,6 +9,7 @@ from gridslam.slam.loop_closure.drift_model import DriftModel
 from gridslam.slam.loop_closure.loop_closure import LoopClosure
 from gridslam.slam.loop_closure.state import LoopClosureState
 from gridslam.slam.loop_closure.submap_pairs import SubmapPairs
+from gridslam.slam.loop_closure.submap_recognition import SubmapRecognition
 from support import hall
 
 LAP = 95
@@ -58,3 +59,13 @@ def test_nothing_is_proposed_where_the_drift_is_small_or_allows_for_other_places
 
 def test_what_was_searched_before_is_not_proposed(seen):
     assert proposed(drifted(seen), searched=DRIVEN) == []
+
+
+def test_stretches_that_share_a_map_are_not_searched_for_in_their_own_scans(seen):
+    """Nothing nearer along the way than recognition asks for is in the map of any of them."""
+    closure_state = drifted(seen)
+    way = closure_state.graph.driven_m()
+    closure = LoopClosure(recognition=SubmapRecognition(apart_m=6.0, certain_sigma_m=0.02))
+    found = propose_revisits(closure_state, SubmapPairs(), hall.MAPPER, closure, lambda: None)
+    assert found
+    assert all(way[to] - way[from_] >= 6.0 for from_, to, *_ in found)
