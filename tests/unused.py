@@ -2,7 +2,7 @@
 # ruff: noqa: B018, F821
 
 context, format_epilog, format_usage, get_command, list_commands  # click
-__getattr__, __dir__, __signature__, __cause__, __context__, _repr_svg_  # Python and notebooks
+__getattr__, __dir__, __signature__, __cause__, __context__, unraisablehook, _repr_svg_  # Python and notebooks
 (
     align_to_folder,
     changes_to_folder,
