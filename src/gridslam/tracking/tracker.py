@@ -23,6 +23,7 @@ from gridslam.matching.gauss_newton import (
     NO_INFORMATION,
     GaussNewton,
     PoseMatch,
+    judged_inlier_ratio,
     known_inlier_ratio,
     thin,
 )
@@ -322,6 +323,12 @@ class Tracker:
         stayed = (predicted.pose[0], predicted.pose[1], pose[2])
         if math.hypot(pose[0] - predicted.pose[0], pose[1] - predicted.pose[1]) > self._slip_limit_m(predicted):
             gain = (score - _score(state, stayed, beams)) / count
+            if not known:  # beams that end where nothing is mapped yet do not tell of slip
+                at, away = (
+                    judged_inlier_ratio(state.maps, state.row, np.array(it), beams, matcher.cauchy_m)
+                    for it in (stayed, pose)
+                )
+                gain = min(gain, away - at)
             pose = pose if gain > self._required_gain(state, predicted, pose) else stayed
         direction = match.degenerate_direction(matcher.min_information)
         determined = direction is None and pose is not stayed and (known or self._is_determined(match))

@@ -8,7 +8,12 @@ import pytest
 
 from gridslam.grid import Evidence, TileMaps
 from gridslam.matching import GaussNewton
-from gridslam.matching.gauss_newton import degenerate_direction, thin
+from gridslam.matching.gauss_newton import (
+    degenerate_direction,
+    judged_inlier_ratio,
+    known_inlier_ratio,
+    thin,
+)
 from gridslam.types import LaserScan, ScanGeometry, StoredScan
 
 CELL = 0.05
@@ -169,6 +174,22 @@ def test_a_wall_goes_on_where_it_is_not_mapped_yet(half):
     assert drawn[0] > 0.01
     assert np.abs(free).max() < 0.0075
     assert free[0] < 0.6 * drawn[0]
+
+
+def test_beams_that_end_where_nothing_is_mapped_count_only_where_they_pass_through_a_wall():
+    """A robot that looks ahead turns on the spot, and sees more of the wall; it is not half a metre farther."""
+    maps, half = map_of_nothing(), (2.22, 1.62)
+    maps.update(ROW, np.zeros((1, 3)), half_seen(np.zeros(3), half))
+
+    def ratios(seen_from, said_to_be_at):
+        beams, at = half_seen(np.array(seen_from), half), np.array(said_to_be_at)
+        return known_inlier_ratio(maps, ROW, at, beams.ends, 0.1), judged_inlier_ratio(maps, ROW, at, beams, 0.1)
+
+    turned = [0.0, 0.0, -0.6]
+    assert min(ratios(turned, turned)) > 0.95
+    known, judged = ratios([0.0, 0.0, 0.0], [0.5, 0.0, 0.0])
+    assert known > 0.9
+    assert judged < 0.65
 
 
 def test_successive_ends_in_one_square_count_once():

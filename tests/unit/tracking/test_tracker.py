@@ -7,7 +7,7 @@ import pytest
 
 from gridslam.geometry.se2 import between, compose
 from gridslam.mapping import OccupancyGridMapping
-from gridslam.sim import LidarConfig, OdometryNoise, RobotConfig, World, simulate
+from gridslam.sim import LidarConfig, OdometryNoise, RobotConfig, World, make_world, simulate
 from gridslam.sim.floor_plan import furniture, join, room
 from gridslam.slam import Tracker
 
@@ -168,3 +168,18 @@ def test_the_farther_a_match_is_from_steady_odometry_the_more_beams_must_agree(p
     tracked = Tracker().step(state, odometry, scan.stamp_ns, scan.beams(0.05, 30.0))
     moved = np.hypot(*(np.array(tracked.pose) - tracked.predicted)[:2])
     assert abs(moved - (way if is_believed else 0.0)) < 0.03
+
+
+@pytest.mark.parametrize("seed", [201, 204])
+def test_a_narrow_laser_that_turns_on_the_spot_does_not_slide_along_a_wall(seed):
+    """Of 60 degrees, noise 3 cm: a third of what it sees is new, and none of the rest contradicts the odometry.
+
+    Slid by 0.3 to 0.5 m along the wall, what is new would end on its mapped part.
+    """
+    lidar = LidarConfig(beams=60, field_of_view_rad=np.radians(60), sigma_range_m=0.03)
+    world = make_world("random", np.random.default_rng(seed))
+    log = simulate(world, RobotConfig(), OdometryNoise(), lidar, np.random.default_rng(seed))
+    told, _, _ = track(Tracker(), log, log.measurements[:120])
+    truth = log.truth.poses[:120]
+    steps = between(between(truth[:-1], truth[1:]), between(told[:-1], told[1:]))
+    assert np.hypot(*steps[:, :2].T).max() < 0.15
