@@ -119,7 +119,7 @@ def test_scans_taken_while_turning_at_three_radians_a_second():
 
 
 def test_a_laser_of_short_range_is_better_than_its_odometry():
-    """Of the same world in which the final trajectory errs by 0.8 of the odometry where that has no weight."""
+    """By 0.45 of it: where each scan counts fully in all its pairs 0.58, where the odometry has no weight 0.8."""
     lidar = LidarConfig(beams=240, field_of_view_rad=math.radians(240), range_max_m=4.0, sigma_range_m=0.02)
     rng = np.random.default_rng(201)
     log = simulate(make_world("random", rng), RobotConfig(), OdometryNoise(), lidar, np.random.default_rng(201))
@@ -132,4 +132,4 @@ def test_a_laser_of_short_range_is_better_than_its_odometry():
         for poses in (odometry, full.poses)
     )
     assert odometry_m == pytest.approx(0.022, abs=0.001)
-    assert final_m < 0.76 * odometry_m
+    assert final_m < 0.5 * odometry_m

@@ -25,9 +25,9 @@ _LEAST_SIGMA_M = 0.001
 _FAR_M = 1e3
 """Residual of half weight, where all are to weigh the same."""
 _HELD = np.eye(3)
-"""Information (1/m^2, 1/rad^2) that holds a match where its surfaces leave a direction open."""
+"""Information (1/m^2, 1/rad^2) that holds a match where its surfaces leave a direction open ..."""
 _LOOSE = 0.01 * _HELD
-"""The same in the end: such a direction is off by 10 m."""
+"""... and that of its result there: off by 10 m."""
 LINE_REACH_M = 0.15
 """Lines are fitted to the points so near to one: at a metre five neighbouring beams give a normal that is noisy by 9
 degrees."""
@@ -62,10 +62,9 @@ def adjust_key_scans(
 
     The distances between the surfaces of key scans that are near each other are minimized, together with the graph's
     error: each round matches pairs of key scans, point to line, and solves the graph with one measurement more for each
-    pair, the relative pose that fits best, with the information of its points.
-
-    A scan takes part in several pairs: while poses are sought it counts fully in each. In the graph that is returned
-    its pairs share its information, so that covariances follow from it (see `share_information`).
+    pair, the relative pose that fits best, with the information of its points, whose variance is that of the round
+    before. A scan takes part in several pairs, which share its information (see `share_information`): counted fully in
+    each it would outweigh the motion where surfaces tell little.
 
     Parameters
     ----------
@@ -78,14 +77,14 @@ def adjust_key_scans(
     """
     pairs = select_pairs(graph.poses)
     pairs = pairs[np.diff(components[pairs])[:, 0] == 0]
-    poses = graph.poses
+    poses, variance = graph.poses, _SIGMA_M**2
     for gate_m in _GATES_M:
-        whole = _measure(graph.with_poses(poses), surfaces, pairs, gate_m, None, threads)
+        whole = _measure(graph.with_poses(poses), surfaces, pairs, gate_m, variance, threads)
         pairs = whole.edges[len(graph.edges) :]  # what does not see the other's surfaces does not in the next round
         if not len(pairs):
             break
         poses = GraphSlam(first_guess="given", robust=None, max_iterations=1).solve(whole).poses
-    variance = _measure_variance(fives, poses, pairs)
+        variance = _measure_variance(fives, poses, pairs)
     return _measure(graph.with_poses(poses), surfaces, pairs, _GATES_M[-1], variance, threads), variance
 
 
@@ -108,27 +107,22 @@ def _measure_variance(fives: Surfaces, poses: FloatArray, pairs: IntArray) -> fl
 
 
 def _measure(
-    graph: PoseGraph, surfaces: Surfaces, pairs: IntArray, gate_m: float, variance: float | None, threads: int
+    graph: PoseGraph, surfaces: Surfaces, pairs: IntArray, gate_m: float, variance: float, threads: int
 ) -> PoseGraph:
-    """Add measurements of pairs (P, 2) of key scans to a graph: the relative poses where their surfaces fit.
-
-    Each counts fully, or, where the variance of a point is given, shares its scans' information with their others.
-    """
+    """Add measurements of pairs (P, 2) of key scans to a graph: the relative poses where their surfaces fit."""
     scale_m = max(_SIGMA_M, _SCALE_RATIO * gate_m)
     found = surfaces.match(graph.poses, pairs, gate_m, scale_m, by_incidence=True, threads=threads)
     is_matched = found.counts >= _MIN_POINTS
     own = pairs[is_matched]
-    weights = np.full(len(own), 1 / (2 * _SIGMA_M**2))
-    if variance is not None:
-        weights = share_information(own) / (2 * variance)
-    information = weights[:, None, None] * found.information[is_matched] + (_HELD if variance is None else _LOOSE)
+    weights = share_information(own) / (2 * variance)
+    information = weights[:, None, None] * found.information[is_matched]
     steps = -np.linalg.solve(information + _HELD, (weights[:, None] * found.gradients[is_matched])[..., None])
     measurements = compose(between(graph.poses[own[:, 0]], graph.poses[own[:, 1]]), steps[..., 0])
     return replace(
         graph,
         edges=np.concatenate([graph.edges, own]),
         measurements=np.concatenate([graph.measurements, measurements]),
-        information=np.concatenate([graph.information, information]),
+        information=np.concatenate([graph.information, information + _LOOSE]),
         trusted=np.append(graph.trusted, np.zeros(len(own), np.bool_)),
     )
 
