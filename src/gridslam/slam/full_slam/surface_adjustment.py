@@ -64,7 +64,7 @@ def adjust_key_scans(
     error: each round matches pairs of key scans, point to line, and solves the graph with one measurement more for each
     pair, the relative pose that fits best, with the information of its points, whose variance is that of the round
     before. A scan takes part in several pairs, which share its information (see `share_information`): counted fully in
-    each it would outweigh the motion where surfaces tell little.
+    each it would outweigh the motion where surfaces determine little.
 
     Parameters
     ----------
