@@ -25,12 +25,12 @@ DRIVEN = LAP + 16
 """Key scans; recognition needs the submaps of twice as much way in the second lap."""
 
 
-def drifted(seen, share=8.0):
+def drifted(seen, share=8.0, driven=DRIVEN):
     """Remember a drive whose heading drifts; its variances are those of the drift model, times a number."""
     closure_state, pose = LoopClosureState(), seen.truth[0]
     increments = compose(between(seen.truth[:-1], seen.truth[1:]), np.array([0.0, 0.0, 0.0007]))
     variances = share * np.array(DriftModel().variances(0.4, 0.1))
-    for k in range(DRIVEN):
+    for k in range(driven):
         pose = compose(pose, increments[k - 1]) if k else pose
         closure_state.scans.append(seen.beams[k], pose, is_key=True)
         closure_state.graph.extend(pose, pose, tuple(variances.tolist()))
@@ -69,3 +69,13 @@ def test_stretches_that_share_a_map_are_not_searched_for_in_their_own_scans(seen
     found = propose_revisits(closure_state, SubmapPairs(), hall.MAPPER, closure, lambda: None)
     assert found
     assert all(way[to] - way[from_] >= 6.0 for from_, to, *_ in found)
+
+
+def test_only_the_last_metres_are_searched_for(seen):
+    """Of what came before, recognition has enough way: of most of a second lap, 12 stretches that are 5 m apart."""
+    asked = []
+    closure_state = drifted(seen, driven=len(seen.truth))
+    way = closure_state.graph.driven_m()
+    assert way[-1] - way[LAP] > 50.0
+    propose_revisits(closure_state, SubmapPairs(), hall.MAPPER, LoopClosure(), lambda: asked.append(1))
+    assert 4 <= len(asked) <= 7

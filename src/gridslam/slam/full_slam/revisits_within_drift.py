@@ -1,9 +1,8 @@
-"""Revisits of a few metres of way that the drift alone all but determines."""
+"""Revisits by the last metres of a drive, which the drift alone all but determines."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
-from itertools import groupby
 
 import numpy as np
 
@@ -31,8 +30,6 @@ from gridslam.types import IntArray
 _MAX_SIGMA_M = 1.5
 """Standard deviation of the relative position up to which the drift leaves hardly more than one place: rooms that look
 alike are farther from each other than two of these."""
-_MOST_SEARCHES = 100
-"""Stretches that are searched for at most, 20 ms each, spread evenly."""
 _MAX_HYPOTHESES = 4
 """Places of a stretch that are compared."""
 
@@ -45,7 +42,7 @@ def propose_revisits(
     on_progress: Callable[[], None],
     searched: int = 0,
 ) -> list[Constraint]:
-    """Propose revisits: short stretches of the way that fit the map of a much earlier part.
+    """Propose revisits: short stretches at the end of the way that fit the map of a much earlier part.
 
     Recognition needs several matches that agree, tens of metres of way; a drive that ends where it came from has a few
     metres of it. Where the drift leaves hardly another place, such a stretch is searched for in the map of older key
@@ -54,11 +51,11 @@ def propose_revisits(
     Parameters
     ----------
     closure_state
-        Key scans, and the graph with the poses of which maps are drawn; it predicts where each stretch lies, too.
+        Key scans, and the graph with the poses of which the map is drawn; it predicts where each stretch lies, too.
     stretches
         Short submaps, cut so far; modified.
     mapper
-        How maps are drawn.
+        How the map is drawn.
     closure
         Place recognition.
     on_progress
@@ -70,36 +67,39 @@ def propose_revisits(
     stretches.cut(graph, scans, mapper, LENGTH_M, STEP_M, is_over=True)
     poses = np.array(graph.poses)
     wanted = _select_searches(graph, [it for it in stretches.submaps if it.anchor >= searched], closure)
-    wanted = wanted[:: max(1, -(-len(wanted) // _MOST_SEARCHES))]
+    if not wanted:
+        return []
+    searches, older = zip(*wanted, strict=True)
+    keys = np.unique(np.concatenate(older))  # one map for all of them
     way = graph.driven_m()
+    keys = keys[way[searches[0].submap.anchor] - way[keys] > closure.recognition.apart_m]
+    known = KnownMap(scans, poses, keys, build_map(mapper, scans, keys, poses[keys]))
+    map_search = MapSearch(known.maps)
     found: list[Constraint] = []
-    for _, neighbours in groupby(wanted, key=lambda it: way[it[0].submap.anchor] // LENGTH_M):
-        searches, older = zip(*neighbours, strict=True)
-        keys = older[len(older) // 2]  # one map for all of them
-        keys = keys[way[searches[0].submap.anchor] - way[keys] > closure.recognition.apart_m]
-        known = KnownMap(scans, poses, keys, build_map(mapper, scans, keys, poses[keys]))
-        map_search = MapSearch(known.maps)
-        for search in searches:
-            on_progress()
-            alignment = Alignment(closure_state, mapper, closure.places, search.submap.keys, known)
-            groups = group_hits(graph, search.run(graph, map_search))[:_MAX_HYPOTHESES]
-            best = max(map(alignment.lay_component, groups), key=lambda it: it.evidence, default=None)
-            if best is not None and not alignment.is_left_open(best):
-                found += alignment.constrain_as_one(best)
+    for search in searches:
+        on_progress()
+        alignment = Alignment(closure_state, mapper, closure.places, search.submap.keys, known)
+        groups = group_hits(graph, search.run(graph, map_search))[:_MAX_HYPOTHESES]
+        best = max(map(alignment.lay_component, groups), key=lambda it: it.evidence, default=None)
+        if best is not None and not alignment.is_left_open(best):
+            found += alignment.constrain_as_one(best)
     return found
 
 
 def _select_searches(
     graph: KeyGraph, submaps: list[Submap], closure: LoopClosure
 ) -> list[tuple[WantedSearch, IntArray]]:
-    """Select stretches that are expected where older key scans (K,) were that no constraint joins them with."""
+    """Select stretches that are expected where older key scans (K,) were that no constraint joins them with.
+
+    Before the last submap recognition has what it needs.
+    """
     way = graph.driven_m()
     labels = graph.label_rigid_components()
     wanted = []
     for submap in submaps:
         key = submap.anchor
         older = np.flatnonzero((way[key] - way > closure.recognition.apart_m) & (labels == labels[key]))
-        if not len(older):
+        if way[key] < way[-1] - closure.recognition.length_m or not len(older):
             continue
         expected, covariances = graph.locate(key, older)
         sigmas_m = position_sigmas(covariances)
