@@ -192,8 +192,9 @@ def judged_inlier_ratio(maps: TileMaps, row: Int32Array, pose: FloatArray, beams
     """Inlier ratio of the beams, seen from a pose (3,), that end in known cells or pass through a mapped obstacle."""
     ways = beams.ends - beams.origin
     lengths = np.hypot(*ways.T)
-    directions = ways / np.maximum(lengths, 1e-9)[:, None]
-    free = maps.cast_rays(row, pose[None], np.asarray(beams.origin, np.float64), directions, float(lengths.max()))[0]
-    passes = (free < lengths - 2 * scale_m) & ~maps.is_known(int(row[0]), beams.ends, pose)
+    origin = np.asarray(beams.origin, np.float64)
+    free = maps.cast_rays(row, pose[None], origin, ways / lengths[:, None], float(lengths.max()))[0]
+    is_known = maps.is_known(int(row[0]), beams.ends, pose)
+    passes = ~is_known & (free < lengths - 2 * scale_m)
     weights = weigh_known_beams(maps, row, pose, beams.ends, scale_m)
-    return float(weights.sum()) / max(len(weights) + int(passes.sum()), _MIN_OVERLAP * len(lengths))
+    return float(weights.sum()) / max(int((is_known | passes).sum()), _MIN_OVERLAP * len(lengths))

@@ -183,8 +183,8 @@ class Tracker:
         if found.matched:
             self._learn(state, found)
             self._insert(state, found, beams, own)
-        control = Control(found.pose, spread if found.lost else None)
-        control = self.search.control(state, found) if by_odometry else control
+        by_velocity = Control(found.pose, spread if found.lost else None)
+        control = self.search.control(state, found) if by_odometry else by_velocity
         return TrackedScan(found.pose, found.prediction.pose, control, beams, joint)
 
     def _predict(self, state: TrackerState, odometry: Pose, stamp_ns: int, seconds: float) -> Prediction:
@@ -324,11 +324,11 @@ class Tracker:
         if math.hypot(pose[0] - predicted.pose[0], pose[1] - predicted.pose[1]) > self._slip_limit_m(predicted):
             gain = (score - _score(state, stayed, beams)) / count
             if not known:  # beams that end where nothing is mapped yet indicate no slip
-                at, away = (
+                agreed = [
                     judged_inlier_ratio(state.maps, state.row, np.array(it), beams, matcher.cauchy_m)
-                    for it in (stayed, pose)
-                )
-                gain = min(gain, away - at)
+                    for it in (pose, stayed)
+                ]
+                gain = min(gain, agreed[0] - agreed[1])
             pose = pose if gain > self._required_gain(state, predicted, pose) else stayed
         direction = match.degenerate_direction(matcher.min_information)
         determined = direction is None and pose is not stayed and (known or self._is_determined(match))
