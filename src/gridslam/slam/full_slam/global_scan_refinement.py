@@ -40,7 +40,7 @@ class Candidate:
     ----------
     name : str
         Where it comes from: "filter", the best particle's past; "closed 1", "closed 2", ..., the tracked motion with
-        places that were found in a search of the whole log; "revisits", returned to where short stretches fit.
+        places that were found in a search of the whole log; "revisits", returned to where its last metres fit.
     graph : PoseGraph
         Key scans and what was measured between them; its poses (T, 3) are the trajectory.
     constraints : list of Constraint
@@ -399,7 +399,7 @@ class _Refinement:
         return self._optimize(name, solution.poses, [*recognized, *known])
 
     def _return_within_drift(self, best: Candidate) -> Candidate | None:
-        """Let a candidate return to where short stretches of its way fit; None if it is there already, or none fits.
+        """Let a candidate return to where the last metres of its way fit; None if it is there already, or none fits.
 
         What fits is no constraint, but where surfaces are matched from.
         """
