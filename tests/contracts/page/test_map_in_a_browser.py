@@ -56,7 +56,7 @@ def test_hands_move_the_map(browser, drive):
         Mapping(page, drive[:60]).join(PATIENCE_S)
         wait_for_all(browser)
         assert pressed(browser, "fit"), "all of the map is shown at first"
-        before = view(browser)
+        whole = before = view(browser)
         ActionChains(browser).drag_and_drop_by_offset(browser.find_element("id", "map"), 60, 40).perform()
         wait(lambda: not pressed(browser, "fit"), "a drag leaves the whole map")
         wait(lambda: view(browser)[0] < before[0], "and moves it")
@@ -77,6 +77,7 @@ def test_hands_move_the_map(browser, drive):
         pose = page._run.make_scene().status["pose"]
         wait(lambda: np.hypot(*(view(browser)[:2] - pose[:2])) < 0.05, "the robot is in the middle")
         click(browser, "fit")
+        wait(lambda: view(browser)[2] == pytest.approx(whole[2], rel=0.01), "all of the map is shown again")
         drawn = colours(browser)
         for layer in browser.find_elements("css selector", "#layers label:not([hidden])"):
             layer.click()
