@@ -168,3 +168,11 @@ def test_where_places_look_alike_for_longer_a_place_is_found_later():
     counts = localize_from(known, drive, 597, 597)
     assert counts["wrong"] == 0
     assert counts["found_inside"] > 100
+
+
+def test_a_robot_at_the_edge_of_the_map_is_looked_for_as_ever():
+    """With fewer places drawn where half of the beams see something of the map, 29 scans were localized wrongly."""
+    known, drive = half_mapped("random", 113)
+    counts = localize_from(known, drive, 191, 191)
+    assert counts["wrong"] == 0
+    assert counts["found_inside"] > 0.6 * counts["inside"]
