@@ -61,9 +61,9 @@ class AugmentedRecovery:
     ) -> tuple[InlierRatioAverages, float]:
         """Average the share of agreeing beams in; the share of the belief that is elsewhere, in [0, 1).
 
-        A scan counts by the ratio of its beams that have `seen` something of the map. Where none has, there is no
-        reason to look elsewhere; where some have, as at the edge of what is mapped, it is looked for as ever: with a
-        share by that ratio, too, 7 in place of 4 of 100 starts in half-mapped buildings are reported at a wrong place.
+        A scan counts by the ratio of its beams that have `seen` something of the map. The share is 0 where none has:
+        there is no reason to look elsewhere. It is not reduced where some have, as at the edge of what is mapped:
+        multiplied by that ratio, 7 of 100 starts in half-mapped buildings are reported at a wrong place, in place of 4.
         """
         slow = averages.slow + seen * self.alpha_slow * (inlier_ratio - averages.slow)
         fast = averages.fast + seen * self.alpha_fast * (inlier_ratio - averages.fast)

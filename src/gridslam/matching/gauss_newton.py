@@ -189,12 +189,17 @@ def known_inlier_ratio(maps: TileMaps, row: Int32Array, pose: FloatArray, ends: 
 
 
 def judged_inlier_ratio(maps: TileMaps, row: Int32Array, pose: FloatArray, beams: BeamEnds, scale_m: float) -> float:
-    """Inlier ratio of the beams, seen from a pose (3,), that end in known cells or pass through a mapped obstacle."""
+    """Inlier ratio of the beams, seen from a pose (3,), that the map confirms or contradicts.
+
+    They end in known cells, or pass through a mapped obstacle, and are outliers then; beams that end in unknown cells
+    before any obstacle do not count. `scale_m` is the distance (m) at which a beam counts half. Where too few count,
+    the missing ones are outliers.
+    """
     ways = beams.ends - beams.origin
     lengths = np.hypot(*ways.T)
     origin = np.asarray(beams.origin, np.float64)
     free = maps.cast_rays(row, pose[None], origin, ways / lengths[:, None], float(lengths.max()))[0]
     is_known = maps.is_known(int(row[0]), beams.ends, pose)
     passes = ~is_known & (free < lengths - 2 * scale_m)
-    weights = weigh_known_beams(maps, row, pose, beams.ends, scale_m)
-    return float(weights.sum()) / max(int((is_known | passes).sum()), _MIN_OVERLAP * len(lengths))
+    weights = cauchy_weights(maps.distances(row, pose[None], beams.ends)[0, is_known], scale_m)
+    return float(weights.sum()) / max(len(weights) + int(passes.sum()), _MIN_OVERLAP * len(lengths))

@@ -323,7 +323,7 @@ class Tracker:
         stayed = (predicted.pose[0], predicted.pose[1], pose[2])
         if math.hypot(pose[0] - predicted.pose[0], pose[1] - predicted.pose[1]) > self._slip_limit_m(predicted):
             gain = (score - _score(state, stayed, beams)) / count
-            if not known:  # beams that end where nothing is mapped yet indicate no slip
+            if not known:  # once it is, the gain must grow with the distance; unknown cells indicate no slip
                 agreed = [
                     judged_inlier_ratio(state.maps, state.row, np.array(it), beams, matcher.cauchy_m)
                     for it in (pose, stayed)

@@ -65,13 +65,14 @@ def propose_revisits(
     """
     graph, scans = closure_state.graph, closure_state.scans
     stretches.cut(graph, scans, mapper, LENGTH_M, STEP_M, is_over=True)
-    poses = np.array(graph.poses)
-    wanted = _select_searches(graph, [it for it in stretches.submaps if it.anchor >= searched], closure)
+    poses, way = np.array(graph.poses), graph.driven_m()
+    # before the last submap of way recognition has enough of it
+    first = max(searched, int(way.searchsorted(way[-1] - closure.recognition.length_m)))
+    wanted = _select_searches(graph, [it for it in stretches.submaps if it.anchor >= first], closure)
     if not wanted:
         return []
     searches, older = zip(*wanted, strict=True)
     keys = np.unique(np.concatenate(older))  # one map for all of them
-    way = graph.driven_m()
     keys = keys[way[searches[0].submap.anchor] - way[keys] > closure.recognition.apart_m]
     known = KnownMap(scans, poses, keys, build_map(mapper, scans, keys, poses[keys]))
     map_search = MapSearch(known.maps)
@@ -89,17 +90,14 @@ def propose_revisits(
 def _select_searches(
     graph: KeyGraph, submaps: list[Submap], closure: LoopClosure
 ) -> list[tuple[WantedSearch, IntArray]]:
-    """Select stretches that are expected where older key scans (K,) were that no constraint joins them with.
-
-    Before the last submap recognition has what it needs.
-    """
+    """Select stretches that are expected where older key scans (K,) were that no constraint joins them with."""
     way = graph.driven_m()
     labels = graph.label_rigid_components()
     wanted = []
     for submap in submaps:
         key = submap.anchor
         older = np.flatnonzero((way[key] - way > closure.recognition.apart_m) & (labels == labels[key]))
-        if way[key] < way[-1] - closure.recognition.length_m or not len(older):
+        if not len(older):
             continue
         expected, covariances = graph.locate(key, older)
         sigmas_m = position_sigmas(covariances)

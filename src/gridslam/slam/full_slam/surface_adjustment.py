@@ -62,9 +62,9 @@ def adjust_key_scans(
 
     The distances between the surfaces of key scans that are near each other are minimized, together with the graph's
     error: each round matches pairs of key scans, point to line, and solves the graph with one measurement more for each
-    pair, the relative pose that fits best, with the information of its points, whose variance is that of the round
+    pair: the relative pose that fits best, with the information of its points. Their variance is measured in the round
     before. A scan takes part in several pairs, which share its information (see `share_information`): counted fully in
-    each it would outweigh the motion where surfaces determine little.
+    each, it would outweigh the motion where surfaces determine little.
 
     Parameters
     ----------
