@@ -16,11 +16,11 @@ from gridslam.serialization import read_array
 from gridslam.types import FloatArray, IntArray
 
 
-class _Level(NamedTuple):
-    """The nodes of one step; never written to, so that snapshots may share it."""
+class _Stretch(NamedTuple):
+    """Steps between two resamplings, of K nodes each: node i of a step is the one child of node i of that before."""
 
-    poses: FloatArray  # (K, 3)
-    parents: IntArray  # (K,) places in the level before
+    poses: array[float]  # (S, K, 3), step by step
+    parents: IntArray  # (K,) of the first step's nodes, places in the stretch before
 
 
 @final
@@ -28,26 +28,32 @@ class _Level(NamedTuple):
 class Ancestry:
     """Who descends from whom, so that the full trajectory of any particle can be had.
 
-    All particles step together, so the tree is kept level by level: the nodes of step t and, for each, its parent's
-    place among those of step t - 1. At a resampling nodes without a living descendant are dropped, from the newest
-    level back to one that loses nothing. Steps where a single node is left, hence the past that all particles share,
-    move into the trunk, a plain array. Memory is the trunk's 24 bytes a step plus 32 bytes for each node since the last
-    common ancestor of all, which lies of the order of N resamplings back, however long the run. Where nothing is ever
-    resampled nothing can be forgotten.
+    All particles step together, so the tree is kept stretch by stretch from one resampling to the next: the nodes of
+    its steps and, for those of the first one, the parent's place among the nodes before. At a resampling nodes without
+    a living descendant are dropped, from the newest stretch back to one that loses nothing. Stretches where a single
+    node is left, hence the past that all particles share, move into the trunk, a plain array. Memory is 24 bytes for
+    each step of the trunk and for each node since the last common ancestor of all, which lies of the order of N
+    resamplings back, however long the run. Where nothing is ever resampled nothing can be forgotten.
 
     What else belongs to a pose for good may stand behind it: then there are W > 3 numbers where 3 are spoken of.
 
     A state has one owner: `extend` and `resample` change the object; `snapshot` keeps a copy for later.
+
+    Attributes
+    ----------
+    steps : int
+        Number T of steps so far.
     """
 
-    __slots__ = ("_leaves", "_levels", "_trunk", "_width")
+    __slots__ = ("_leaves", "_stretches", "_trunk", "_width", "steps")
 
-    def __init__(self, leaves: IntArray, levels: list[_Level], trunk: FloatArray) -> None:
-        """Take the parts as they are, without dead nodes; use `start` or `from_arrays`."""
-        self._leaves = leaves  # (N,) each particle's place in the newest level
-        self._levels = levels
+    def __init__(self, leaves: IntArray, trunk: FloatArray) -> None:
+        """Let particles at places `leaves` (N,), all 0, share the past `trunk` (S, 3); use `start` or `from_arrays`."""
+        self._leaves = leaves  # (N,) each particle's place in the newest step
+        self._stretches: list[_Stretch] = []
         self._trunk = array("d", trunk.tobytes())
         self._width: int = trunk.shape[1]
+        self.steps = len(trunk)
 
     @classmethod
     def start(cls, poses: ArrayLike) -> Ancestry:
@@ -55,14 +61,14 @@ class Ancestry:
         count, width = np.shape(poses) if np.ndim(poses) == 2 else (0, 0)
         if count == 0 or width < 3:
             raise ArgumentError("poses", "shape (N, 3) with N >= 1", np.shape(poses))
-        ancestry = cls(np.zeros(count, dtype=np.int64), [], np.empty((0, width)))
+        ancestry = cls(np.zeros(count, dtype=np.int64), np.empty((0, width)))
         ancestry.extend(poses)
         return ancestry
 
     @classmethod
     def from_trajectory(cls, trajectory: FloatArray, particles: Annotated[int, Limits(1, 1 << 30)]) -> Ancestry:
         """Begin with N particles that all share one past, poses (T, 3)."""
-        return cls(np.zeros(particles, dtype=np.int64), [], trajectory)
+        return cls(np.zeros(particles, dtype=np.int64), trajectory)
 
     def extend(self, poses: ArrayLike) -> None:
         """Add one step: particle i, whichever its past, is now at poses[i] of (N, 3), which is copied.
@@ -73,7 +79,7 @@ class Ancestry:
         expected = len(self), self._width
         if copy.shape != expected:
             raise ArgumentError("poses", f"shape {expected}", copy.shape)
-        self._levels.append(_Level(copy, self._leaves))
+        self._append(copy, self._leaves)
         self._leaves = np.arange(len(copy), dtype=np.int64)
         self._coalesce()
 
@@ -100,14 +106,16 @@ class Ancestry:
 
     def retract(self) -> FloatArray:
         """Take back the newest of at least two steps, also after a resampling; poses (N, 3) of the step before it."""
-        if self._levels:
-            self._leaves = self._levels.pop().parents[self._leaves]
-            if self._levels:
-                return self._levels[-1].poses[self._leaves]
+        self.steps -= 1
+        if self._stretches:
+            poses, parents = self._stretches[-1]
+            del poses[-len(parents) * self._width :]
+            if not poses:
+                self._leaves = parents[self._leaves]
+                self._stretches.pop()
         else:
             del self._trunk[-self._width :]
-        last = np.array(self._trunk[-self._width :])
-        return np.repeat(last[None], len(self), axis=0)
+        return np.array([self.trajectory(particle)[-1] for particle in range(len(self))])
 
     def trajectory(self, particle: int) -> FloatArray:
         """Return poses (T, 3) of one particle at steps 0 .. T - 1, along its own past.
@@ -117,37 +125,36 @@ class Ancestry:
         if not 0 <= particle < len(self):
             raise ArgumentError("particle", f"an index in [0, {len(self)})", particle)
         place = self._leaves[particle]
-        trunk = self._trunk_poses
-        past = np.empty((self.steps, self._width))
-        past[: len(trunk)] = trunk
-        for k in range(len(self._levels) - 1, -1, -1):
-            poses, parents = self._levels[k]
-            past[len(trunk) + k] = poses[place]
-            place = parents[place]
-        return past
+        past: list[FloatArray] = []  # newest first
+        for stretch in reversed(self._stretches):
+            past.append(self._poses_of(stretch)[:, place])
+            place = stretch.parents[place]
+        return np.concatenate([self._trunk_poses, *reversed(past)])
 
     def snapshot(self) -> Ancestry:
-        """Return an independent copy; it shares the levels, which are never written to, and copies the trunk."""
-        return Ancestry(self._leaves, list(self._levels), self._trunk_poses)
+        """Return an independent copy."""
+        twin = Ancestry(self._leaves, self._trunk_poses)
+        twin._stretches = [stretch._replace(poses=stretch.poses[:]) for stretch in self._stretches]
+        twin.steps = self.steps
+        return twin
 
     def __len__(self) -> int:
         """Return the number of particles N."""
         return len(self._leaves)
 
     @property
-    def steps(self) -> int:
-        """Number T of steps so far."""
-        return len(self._trunk) // self._width + len(self._levels)
-
-    @property
     def first_pose(self) -> FloatArray:
         """Pose (3,) of one particle at step 0."""
-        return np.array(self._trunk[:3]) if self._trunk else self._levels[0].poses[0, :3]
+        return np.array((self._trunk or self._stretches[0].poses)[:3])
 
     @property
     def _trunk_poses(self) -> FloatArray:
         """Poses (S, 3) of the steps that all particles share."""
         return np.array(self._trunk).reshape(-1, self._width)
+
+    def _poses_of(self, stretch: _Stretch) -> FloatArray:
+        """View the poses (S, K, 3) of a stretch; nothing can be added to it while there is a view."""
+        return np.frombuffer(stretch.poses).reshape(-1, len(stretch.parents), self._width)
 
     def to_arrays(self) -> dict[str, NDArray[Any]]:
         """Return the whole state as plain arrays, for a file.
@@ -160,11 +167,18 @@ class Ancestry:
             being a place among the nodes of the step before (0 for the trunk's end, and where there is none);
             `leaves` (N,) int64: each particle's place among the nodes of the last step.
         """
+        counts, poses, parents = list[int](), [np.empty(0)], [np.empty(0, dtype=np.int64)]
+        for stretch in self._stretches:
+            own = self._poses_of(stretch)
+            poses.append(own.ravel())
+            steps, nodes, _ = own.shape
+            counts += [nodes] * steps
+            parents += [stretch.parents, np.tile(np.arange(nodes), steps - 1)]
         return {
             "trunk": self._trunk_poses,
-            "counts": np.array([len(level.parents) for level in self._levels], dtype=np.int64),
-            "poses": np.concatenate([np.empty((0, self._width)), *(level.poses for level in self._levels)]),
-            "parents": np.concatenate([np.empty(0, dtype=np.int64), *(level.parents for level in self._levels)]),
+            "counts": np.array(counts, dtype=np.int64),
+            "poses": np.concatenate(poses).reshape(-1, self._width),
+            "parents": np.concatenate(parents),
             "leaves": self._leaves.copy(),
         }
 
@@ -183,37 +197,44 @@ class Ancestry:
         poses = read_array(arrays, "poses", np.float64, (nodes, 3))
         parents = read_array(arrays, "parents", np.int64, (nodes,))
         leaves = read_array(arrays, "leaves", np.int64, (None,))
-        levels = [_Level(poses[e - k : e], parents[e - k : e]) for k, e in zip(counts, ends, strict=True)]
-        places = [*(level.parents for level in levels), leaves]
+        begins = ends - counts
+        places = [*(parents[begin:end] for begin, end in zip(begins, ends, strict=True)), leaves]
         for count, used in zip([1, *counts], places, strict=True):
             if not np.array_equal(np.unique(used), np.arange(count)):
                 raise ArgumentError("parents, leaves", f"every one of {count} nodes of the step before, no other", used)
-        if len(trunk) + len(levels) == 0:
+        if len(trunk) + len(counts) == 0:
             raise ArgumentError("trunk, counts", "at least one step", 0)
-        ancestry = cls(leaves, levels, trunk)
+        ancestry = cls(leaves, trunk)
+        for begin, end, own in zip(begins, ends, places[:-1], strict=True):
+            ancestry._append(poses[begin:end], own)
         ancestry._coalesce()
         return ancestry
 
+    def _append(self, poses: FloatArray, parents: IntArray) -> None:
+        """Add a step of nodes at poses (K, 3) with parents at places (K,) of the step before."""
+        if self._stretches and np.array_equal(parents, np.arange(len(self._stretches[-1].parents))):
+            self._stretches[-1].poses.frombytes(poses.tobytes())
+        else:
+            self._stretches.append(_Stretch(array("d", poses.tobytes()), parents))
+        self.steps += 1
+
     def _prune(self) -> None:
         """Drop nodes without a living descendant."""
-        used = self._leaves
-        for k in range(len(self._levels) - 1, -1, -1):
-            poses, parents = self._levels[k]
+        stretches, used = self._stretches, self._leaves
+        for k in range(len(stretches) - 1, -1, -1):
+            parents = stretches[k].parents
             kept, places = np.unique(used, return_inverse=True)
             if len(kept) == len(parents):
                 break
-            if k + 1 < len(self._levels):
-                self._levels[k + 1] = self._levels[k + 1]._replace(parents=places)
+            if k + 1 < len(stretches):
+                stretches[k + 1] = stretches[k + 1]._replace(parents=places)
             else:
                 self._leaves = places
             used = parents[kept]
-            self._levels[k] = _Level(poses[kept], used)
+            stretches[k] = _Stretch(array("d", self._poses_of(stretches[k])[:, kept].tobytes()), used)
         self._coalesce()
 
     def _coalesce(self) -> None:
-        """Move the leading levels of a single node into the trunk."""
-        lone = 0
-        while lone < len(self._levels) and len(self._levels[lone].parents) == 1:
-            self._trunk.frombytes(self._levels[lone].poses.tobytes())
-            lone += 1
-        del self._levels[:lone]
+        """Move the leading stretches of a single node into the trunk."""
+        while self._stretches and len(self._stretches[0].parents) == 1:
+            self._trunk += self._stretches.pop(0).poses
