@@ -15,7 +15,7 @@ from gridslam.grid.tiles import TileMaps
 from gridslam.mapping.occupancy_grid_mapping import OccupancyGridMapping
 from gridslam.matching.gauss_newton import cauchy_weights, weigh_known_beams
 from gridslam.scan import BeamEnds
-from gridslam.slam.loop_closure.drift_model import compute_moments, diagonal_covariances, propagate_covariances
+from gridslam.slam.loop_closure.drift_model import compute_moments_of_variances, propagate_covariances
 from gridslam.slam.loop_closure.key_graph import KEY_SCANS_PER_SUBMAP, KeyGraph
 from gridslam.slam.loop_closure.scan_archive import ScanArchive
 from gridslam.slam.loop_closure.submaps import ROW, fade
@@ -128,7 +128,7 @@ def _score_motion(tracked: FloatArray, variances: FloatArray, poses: FloatArray)
     ends = np.append(begins[1:], len(poses) - 1)
     moved = between(tracked[begins], tracked[ends])
     errors = between(moved, between(poses[begins], poses[ends]))
-    moments = np.cumsum(compute_moments(tracked, diagonal_covariances(variances)), axis=0)
+    moments = np.cumsum(compute_moments_of_variances(tracked, variances), axis=0)
     spread = rotate_covariances(
         propagate_covariances(tracked[ends], moments[ends] - moments[begins]), -tracked[ends, 2]
     )

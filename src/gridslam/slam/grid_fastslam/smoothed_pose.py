@@ -44,10 +44,10 @@ class SmoothedPose:
         by_pose, _ = compose_jacobians(self.pose, increment)
         covariance = by_pose @ self.covariance @ by_pose.T + noise
         missed = matched - predicted
-        missed[2] = wrap(missed[2])
+        missed[2] = wrap(missed.item(2))
         weighed = np.linalg.solve(covariance + _MATCH, np.column_stack([missed, covariance]))
         if missed @ weighed[:, 0] > _MOST_SQUARED:
             return SmoothedPose(matched, _MATCH)
         pose = predicted + covariance @ weighed[:, 0]
-        pose[2] = wrap(pose[2])
+        pose[2] = wrap(pose.item(2))
         return SmoothedPose(pose, covariance - covariance @ weighed[:, 1:])

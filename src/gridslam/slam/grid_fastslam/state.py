@@ -196,12 +196,15 @@ class GridFastSlamState(OwnedState):
             self.best = int(self.log_ancestry.argmax())
 
     def accept(self, estimate: Estimate) -> None:
-        """Accept the estimate at a key scan, and add its covariance to the drift."""
+        """Accept the estimate at a key scan."""
         self.reported = estimate.reported
         self.lost = estimate.lost
         self._covariance = estimate.covariance
         self.drift_covariance = estimate.drift_covariance
-        (moments,) = compute_moments(estimate.reported.pose[None], estimate.drift_covariance[None])
+
+    def drift_on(self) -> None:
+        """Add what the drift grew by since the key scan before, where no loop closure knows of a more certain way."""
+        (moments,) = compute_moments(self.reported.pose[None], self.drift_covariance[None])
         self.drift = self.drift + moments
 
     def resample(self, parents: IntArray) -> None:

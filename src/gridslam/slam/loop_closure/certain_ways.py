@@ -21,7 +21,7 @@ def follow_certain_ways(
     key: int,
     pose: FloatArray,
     others: IntArray,
-    tracked: FloatArray,
+    tracked: Sequence[FloatArray],
     sums: FloatArray,
     links: Sequence[Constraint],
     link_moments: FloatArray,
@@ -32,7 +32,7 @@ def follow_certain_ways(
     ----------
     key, pose : int, (3,) float64
         The key scan, and where it is in the map.
-    tracked, sums : (T, 3), (T, 9) float64
+    tracked, sums : sequence of T (3,) float64, (T, 9) float64
         All key scans as tracked, and the moments of the increments up to each (see `compute_moments`).
     links, link_moments : sequence of L Constraint, (L, 9) float64
         Constraints, by which ways may lead in either direction, and their moments.

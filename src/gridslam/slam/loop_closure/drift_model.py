@@ -103,22 +103,32 @@ def scale_covariances(sigma: float, displacements: FloatArray) -> FloatArray:
     return np.pad(squares, [(0, 0), (0, 1), (0, 1)])
 
 
-def diagonal_covariances(variances: FloatArray) -> FloatArray:
-    """Covariances (K, 3, 3) of variances (K, 2) of position and heading."""
-    return np.asarray(variances[:, None, [0, 0, 1]] * np.eye(3))
-
-
 def compute_moments(poses: FloatArray, covariances: FloatArray) -> FloatArray:
     """Moments (K, 9) of the covariances (K, 3, 3) of steps to poses (K, 3), each in the frame of its pose.
 
     Covariance of the position in the map frame, variance of the heading, and that one with where it happened. Their
     sums along a path are what `propagate_covariances` needs to know of it. Position and heading are uncorrelated.
     """
-    x, y, theta = poses.T
-    in_map = rotate_covariances(covariances, theta)
-    q = in_map[:, 2, 2]
-    position = in_map[:, 0, 0], in_map[:, 0, 1], in_map[:, 1, 1]
-    return np.stack([*position, q, q * x, q * y, q * x * x, q * x * y, q * y * y], axis=1)
+    in_map = rotate_covariances(covariances, poses[:, 2])
+    return _make_moments(poses, in_map[:, [0, 0, 1], [0, 1, 1]], in_map[:, 2, 2])
+
+
+def compute_moments_of_variances(poses: FloatArray, variances: FloatArray) -> FloatArray:
+    """Moments (K, 9) as `compute_moments` has them, of variances (K, 2) of position, in all directions, and heading."""
+    return _make_moments(poses, variances[:, :1] * [1.0, 0.0, 1.0], variances[:, 1])
+
+
+def _make_moments(poses: FloatArray, position: FloatArray, q: FloatArray) -> FloatArray:
+    x, y, _ = poses.T
+    moments = np.empty((len(poses), 9))
+    moments[:, :3] = position
+    moments[:, 3] = q
+    moments[:, 4] = qx = q * x
+    moments[:, 5] = qy = q * y
+    moments[:, 6] = qx * x
+    moments[:, 7] = qx * y
+    moments[:, 8] = qy * y
+    return moments
 
 
 def propagate_covariances(poses: FloatArray, moments: FloatArray) -> FloatArray:

@@ -4,10 +4,9 @@ from __future__ import annotations
 
 import math
 from bisect import bisect_right
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field, fields
-from itertools import accumulate
-from typing import Annotated, Any, final
+from typing import Annotated, final
 
 import numpy as np
 
@@ -19,7 +18,7 @@ from gridslam.slam.loop_closure.certain_ways import follow_certain_ways
 from gridslam.slam.loop_closure.constraints import Constraint, ConstraintSource, key_scan_pairs
 from gridslam.slam.loop_closure.drift_model import (
     compute_moments,
-    diagonal_covariances,
+    compute_moments_of_variances,
     position_variances,
     propagate_covariances,
 )
@@ -40,6 +39,12 @@ of it."""
 _MATCH_RATIO = 1 / 6
 """Standard deviation that is expected of a constraint over the one that it has in searches and against outliers: 0.05 m
 for a beam over that of `PlaceMatching`."""
+
+_BLIND_VARIANCES = np.square([BLIND_SIGMA_M, BLIND_SIGMA_RAD])
+_DRIVEN, _GAPS, _BOUNDS, _DRIFTS = 0, 1, slice(2, 11), slice(11, 20)
+"""Columns of the sums along the way: metres driven, as tracked; gaps in the laser data; moments of the variances;
+moments of the drift from key scan 0, as tracked."""
+_COLUMNS = 20
 
 
 def submap_of(key: int) -> int:
@@ -99,21 +104,15 @@ class KeyGraph:
     drift_covariances: Annotated[list[Annotated[FloatArray, 3, 3]], "T"] = field(default_factory=list)
     constraints: list[Constraint] = field(default_factory=list)
     frozen: Annotated[int, Limits(0, "T")] = 0
-    # metres driven up to each key scan, as tracked
-    _driven_m: list[float] = field(init=False, default_factory=list, metadata=NOT_SAVED)
-    # number of gaps in the laser data up to each key scan
-    _gap_counts: list[int] = field(init=False, default_factory=list, metadata=NOT_SAVED)
-    # (9,) each, moments of the variances up to each key scan
-    _sums: list[FloatArray] = field(init=False, default_factory=list, metadata=NOT_SAVED)
-    # (9,) each, moments of the drift from key scan 0, as tracked
-    _drifts: list[FloatArray] = field(init=False, default_factory=list, metadata=NOT_SAVED)
+    # (T, 20) float64, sums along the way up to each key scan
+    _sums: bytearray = field(init=False, default_factory=bytearray, metadata=NOT_SAVED)
     # key scans to which the most certain known way comes by a constraint
     _arrivals: list[int] = field(init=False, default_factory=list, metadata=NOT_SAVED)
     # (9,) each, what those ways change of the drift: before the first arrival, from each one to the next
     _gains: list[FloatArray] = field(init=False, default_factory=lambda: [np.zeros(9)], metadata=NOT_SAVED)
-    # determined constraints, by which ways lead, and (9,) each, their moments
+    # determined constraints, by which ways lead, and (L, 9) float64, their moments
     _links: list[Constraint] = field(init=False, default_factory=list, metadata=NOT_SAVED)
-    _link_moments: list[FloatArray] = field(init=False, default_factory=list, metadata=NOT_SAVED)
+    _link_moments: bytearray = field(init=False, default_factory=bytearray, metadata=NOT_SAVED)
 
     def __post_init__(self) -> None:
         """Derive the moments."""
@@ -131,7 +130,7 @@ class KeyGraph:
 
     def driven_m(self) -> FloatArray:
         """Metres driven (T,) up to each key scan, as tracked."""
-        return np.array(self._driven_m)
+        return _rows(self._sums, _COLUMNS)[:, _DRIVEN].copy()
 
     def begins_drive(self, key: int) -> bool:
         """Whether a key scan is the first one of a drive that was joined with earlier ones."""
@@ -197,8 +196,7 @@ class KeyGraph:
     def correct(self, poses: FloatArray) -> None:
         """Set all poses (T, 3)."""
         self.poses = list(poses)
-        along = (self._driven_m, self._gap_counts, self._sums, self._drifts)
-        for derived in (*along, self._links, self._link_moments, self._arrivals):
+        for derived in (self._sums, self._links, self._link_moments, self._arrivals):
             derived.clear()
         del self._gains[1:]
         self._derive()
@@ -226,13 +224,14 @@ class KeyGraph:
         They lead along the increments and by determined constraints. Covariances are in the map frame, and those of
         the drift model's bounds.
         """
-        tracked, links = _stack(self.tracked, 3), (self._links, _stack(self._link_moments, 9))
-        ends, moments = follow_certain_ways(key, self.poses[key], anchors, tracked, _stack(self._sums, 9), *links)
-        return between(tracked[anchors], ends), propagate_covariances(self.poses[key], moments)
+        sums, links = _rows(self._sums, _COLUMNS)[:, _BOUNDS], (self._links, _rows(self._link_moments, 9))
+        ends, moments = follow_certain_ways(key, self.poses[key], anchors, self.tracked, sums, *links)
+        frames = np.array([self.tracked[anchor] for anchor in anchors.tolist()])
+        return between(frames, ends), propagate_covariances(self.poses[key], moments)
 
     def label_gaps(self) -> IntArray:
         """Label (T,) of the stretch without a gap in the laser data that each key scan belongs to, ascending."""
-        return np.array(self._gap_counts)
+        return _rows(self._sums, _COLUMNS)[:, _GAPS].astype(np.int64)
 
     def label_rigid_components(self, constraints: Sequence[Constraint] | None = None) -> IntArray:
         """Label (T,) of the rigid component of each key scan, the number of its first stretch without a gap.
@@ -240,9 +239,9 @@ class KeyGraph:
         Components are separated by gaps in the laser data, and joined by tracked or recognized constraints and by those
         added by hand: by those of the graph, if no others are given.
         """
-        if not self._gap_counts[-1]:
-            return np.zeros(len(self), np.int64)
-        labels = np.array(self._gap_counts)
+        labels = self.label_gaps()
+        if not labels[-1]:
+            return labels
         roots = np.arange(labels[-1] + 1)
         for constraint in self.constraints if constraints is None else constraints:
             if constraint.determined and constraint.source is not ConstraintSource.PROXIMITY:
@@ -255,10 +254,8 @@ class KeyGraph:
 
     def select_without_gap(self, keys: IntArray, anchor: int) -> IntArray:
         """Select those of consecutive key scans (K,) that no gap separates from `anchor`."""
-        if self._gap_counts[keys[0]] == self._gap_counts[keys[-1]]:
-            return keys
-        side = np.array(self._gap_counts[keys[0] : keys[-1] + 1])
-        here: IntArray = keys[side == side[anchor - keys[0]]]
+        labels = self.label_gaps()
+        here: IntArray = keys[labels[keys] == labels[anchor]]
         return here
 
     def graph(
@@ -316,18 +313,20 @@ class KeyGraph:
 
     def _derive(self) -> None:
         """Extend the values derived from poses and variances to the newest key scan."""
-        first = len(self._sums)
+        first = len(_rows(self._sums, _COLUMNS))
         poses = np.array(self.poses[first:])
         variances = np.array(self.variances[first:])
-        tracked = np.array(self.tracked[max(first - 1, 0) :])
-        steps = np.diff(tracked, axis=0, prepend=tracked[: int(not first)])
-        is_gap = np.any(variances > np.square([BLIND_SIGMA_M, BLIND_SIGMA_RAD]), axis=1).astype(np.int64)
-        drifts = compute_moments(poses, np.array(self.drift_covariances[first:]))
-        drifts[: int(not first)] = 0.0  # the first pose is the origin
-        _accumulate(self._driven_m, np.hypot(steps[:, 0], steps[:, 1]).tolist())
-        _accumulate(self._gap_counts, [*is_gap])
-        _accumulate(self._sums, [*compute_moments(poses, diagonal_covariances(variances))])
-        _accumulate(self._drifts, [*drifts])
+        tracked = np.array([self.tracked[max(first - 1, 0)], *self.tracked[first:]])
+        added = np.empty((len(poses), _COLUMNS))
+        added[:, _DRIVEN] = np.hypot(*(tracked[1:, :2] - tracked[:-1, :2]).T)
+        added[:, _GAPS] = (variances > _BLIND_VARIANCES).any(axis=1)
+        added[:, _BOUNDS] = compute_moments_of_variances(poses, variances)
+        added[:, _DRIFTS] = compute_moments(poses, np.array(self.drift_covariances[first:]))
+        if first:
+            added[0] += _rows(self._sums, _COLUMNS)[-1]
+        else:
+            added[0, _DRIFTS] = 0.0  # the first pose is the origin
+        self._sums += added.cumsum(axis=0).tobytes()
 
     def _use(self, constraints: Sequence[Constraint]) -> None:
         """Let constraints lead from one key scan to another, and shorten the ways from the first key scan.
@@ -340,13 +339,14 @@ class KeyGraph:
         covariances = np.asarray(np.linalg.inv(np.array([c.information for c in determined])), np.float64)
         of_links = compute_moments(np.array([self.poses[c.to] for c in determined]), covariances)
         self._links += determined
-        self._link_moments += [*of_links]
+        self._link_moments += of_links.tobytes()
         for constraint, moments in zip(determined, of_links, strict=True):
             self._shorten_ways(constraint, moments)
 
     def _drift_at(self, key: int) -> FloatArray:
         """Moments (9,) of the drift from key scan 0 to another, along the most certain known way."""
-        return self._drifts[key] + self._gains[bisect_right(self._arrivals, key)]
+        drift: FloatArray = _rows(self._sums, _COLUMNS)[key, _DRIFTS] + self._gains[bisect_right(self._arrivals, key)]
+        return drift
 
     def _shorten_ways(self, constraint: Constraint, moments: FloatArray) -> None:
         """Let the way to a key scan and to those after it come by a constraint if it is more certain so."""
@@ -363,12 +363,6 @@ class KeyGraph:
             self._gains.insert(later + 1, gain)
 
 
-def _stack(arrays: Iterable[Any], size: int) -> FloatArray:
-    """Return many small arrays, each (size,), as one: by their bytes, as NumPy's own functions take four times that."""
-    return np.frombuffer(b"".join(arrays)).reshape(-1, size)
-
-
-def _accumulate(sums: list[Any], added: list[Any]) -> None:
-    """Extend a list of sums by the sum up to each addend."""
-    last = sums[-1:]
-    sums += [*accumulate([*last, *added])][len(last) :]
+def _rows(stored: bytearray, columns: int) -> FloatArray:
+    """View stored rows (K, C) of float64; none can be added while there is a view."""
+    return np.frombuffer(stored).reshape(-1, columns)
