@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from array import array
 from collections.abc import Iterable, Iterator
+from itertools import chain
 from typing import TYPE_CHECKING, Any, TypeVar, final
 
 import numpy as np
@@ -64,8 +65,8 @@ class RunRecorder:
         self._path = NO_POINTS  # of the last moment
         self._number = 0  # of the map's last change by then
         self._detector = TileChangeDetector()
-        self._recognized: list[tuple[int, int]] = []  # loop closures
-        self._tracked: list[tuple[int, int]] = []  # of the first `_seen` constraints
+        self._recognized = array("q")  # pairs of key scans, loop closures
+        self._tracked = array("q")  # of the first `_seen` constraints
         self._seen = 0
 
     def follow(self, source: Iterable[_Measured]) -> Iterator[_Measured]:
@@ -79,7 +80,7 @@ class RunRecorder:
         """Record a step, and a moment if one is due."""
         self.scans += 1
         if isinstance(report, StepReport):
-            self._recognized += report.closures
+            self._recognized.extend(chain.from_iterable(report.closures))
         if report.skipped is not None:
             return
         self.history.note_report(report, self.scans, seconds)
@@ -117,12 +118,13 @@ class RunRecorder:
         constraints = [] if state.closure_state is None else state.closure_state.graph.constraints
         if len(constraints) < self._seen:
             self._seen = 0
-            self._tracked = []
-        new = constraints[self._seen :]
-        self._tracked += [constraint.pair for constraint in new if constraint.source is ConstraintSource.TRACKED]
+            self._tracked = array("q")
+        for constraint in constraints[self._seen :]:
+            if constraint.source is ConstraintSource.TRACKED:
+                self._tracked.extend(constraint.pair)
         self._seen = len(constraints)
         self.history.closures = np.array(self._recognized + self._tracked, np.int64).reshape(-1, 2)
-        self.history.recognized = len(self._recognized)
+        self.history.recognized = len(self._recognized) // 2
 
     def scan_ends(self) -> Float32Array:
         """Return the end points (K, 2) of the last scan in the robot frame, m."""

@@ -107,7 +107,7 @@ def transform_match(frame: FloatArray, match: Match) -> Match:
 
 def key_scan_pairs(constraints: Iterable[Constraint]) -> IntArray:
     """Pairs of key scans (K, 2) that constraints connect: from, to."""
-    return np.array([constraint.pair for constraint in constraints], np.int64).reshape(-1, 2)
+    return np.array([key for constraint in constraints for key in constraint.pair], np.int64).reshape(-1, 2)
 
 
 def select_shown_closures(recognized: IntArray, tracked: IntArray) -> IntArray:

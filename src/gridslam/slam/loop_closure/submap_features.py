@@ -81,25 +81,25 @@ def extract_features(points: FloatArray, most: int = _MOST_KEYPOINTS) -> SubmapF
     """
     if not len(points):
         return _NONE
-    cells = np.floor(points / _CELL_M).astype(np.int64)
-    corner = cells.min(axis=0) - _BORDER
-    width, height = (np.ptp(cells, axis=0) + 2 * _BORDER + 1).tolist()
-    column, row = (cells - corner).T
+    cells = np.floor(np.ascontiguousarray(points.T) / _CELL_M).astype(np.int64)
+    corner = cells.min(axis=1) - _BORDER
+    width, height = (cells.max(axis=1) - corner + _BORDER + 1).tolist()
+    column, row = cells - corner[:, None]
     hits = np.bincount(row * width + column, minlength=width * height).reshape(height, width)
     image = np.minimum(1.5 * _blur((hits >= _MIN_HITS).astype(np.float32), 1.0), 1)
     y, x = _find_corners(image, most)
     if not len(y):
         return _NONE
-    patches = image[y[:, None] + _DISC_Y, x[:, None] + _DISC_X]
+    at = (y * width + x)[:, None]  # cells are counted row by row
+    patches = image.take(at + (_DISC_Y * width + _DISC_X))
     headings = np.arctan2(patches @ _DISC_Y.astype(np.float32), patches @ _DISC_X.astype(np.float32)).astype(np.float64)
     c = np.cos(headings)[:, None]
     s = np.sin(headings)[:, None]
     smooth = _blur(image, 1.5)
 
     def brightness(across: FloatArray, up: FloatArray) -> NDArray[np.float32]:
-        columns = np.rint(c * across - s * up).astype(np.int64) + x[:, None]
-        rows = np.rint(s * across + c * up).astype(np.int64) + y[:, None]
-        found: NDArray[np.float32] = smooth[rows, columns]
+        aside = np.rint(s * across + c * up) * width + np.rint(c * across - s * up)
+        found: NDArray[np.float32] = smooth.take(at + aside.astype(np.int64))
         return found
 
     is_darker = brightness(*_COMPARED[:2]) < brightness(*_COMPARED[2:])
