@@ -119,9 +119,8 @@ class RunRecorder:
         if len(constraints) < self._seen:
             self._seen = 0
             self._tracked = array("q")
-        for constraint in constraints[self._seen :]:
-            if constraint.source is ConstraintSource.TRACKED:
-                self._tracked.extend(constraint.pair)
+        tracked = (c for c in constraints[self._seen :] if c.source is ConstraintSource.TRACKED)
+        self._tracked.extend(chain.from_iterable(constraint.pair for constraint in tracked))
         self._seen = len(constraints)
         self.history.closures = np.array(self._recognized + self._tracked, np.int64).reshape(-1, 2)
         self.history.recognized = len(self._recognized) // 2

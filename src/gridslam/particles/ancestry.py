@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from array import array
 from collections.abc import Mapping
+from copy import deepcopy
 from typing import Annotated, Any, NamedTuple, final
 
 import numpy as np
@@ -38,14 +39,9 @@ class Ancestry:
     What else belongs to a pose for good may stand behind it: then there are W > 3 numbers where 3 are spoken of.
 
     A state has one owner: `extend` and `resample` change the object; `snapshot` keeps a copy for later.
-
-    Attributes
-    ----------
-    steps : int
-        Number T of steps so far.
     """
 
-    __slots__ = ("_leaves", "_stretches", "_trunk", "_width", "steps")
+    __slots__ = ("_leaves", "_stretches", "_trunk", "_width")
 
     def __init__(self, leaves: IntArray, trunk: FloatArray) -> None:
         """Let particles at places `leaves` (N,), all 0, share the past `trunk` (S, 3); use `start` or `from_arrays`."""
@@ -53,7 +49,6 @@ class Ancestry:
         self._stretches: list[_Stretch] = []
         self._trunk = array("d", trunk.tobytes())
         self._width: int = trunk.shape[1]
-        self.steps = len(trunk)
 
     @classmethod
     def start(cls, poses: ArrayLike) -> Ancestry:
@@ -106,13 +101,11 @@ class Ancestry:
 
     def retract(self) -> FloatArray:
         """Take back the newest of at least two steps, also after a resampling; poses (N, 3) of the step before it."""
-        self.steps -= 1
         if self._stretches:
             poses, parents = self._stretches[-1]
             del poses[-len(parents) * self._width :]
             if not poses:
-                self._leaves = parents[self._leaves]
-                self._stretches.pop()
+                self._leaves = self._stretches.pop().parents[self._leaves]
         else:
             del self._trunk[-self._width :]
         return np.array([self.trajectory(particle)[-1] for particle in range(len(self))])
@@ -133,14 +126,17 @@ class Ancestry:
 
     def snapshot(self) -> Ancestry:
         """Return an independent copy."""
-        twin = Ancestry(self._leaves, self._trunk_poses)
-        twin._stretches = [stretch._replace(poses=stretch.poses[:]) for stretch in self._stretches]
-        twin.steps = self.steps
-        return twin
+        return deepcopy(self)
 
     def __len__(self) -> int:
         """Return the number of particles N."""
         return len(self._leaves)
+
+    @property
+    def steps(self) -> int:
+        """Number T of steps so far."""
+        nodes = len(self._trunk) + sum(len(poses) // len(parents) for poses, parents in self._stretches)
+        return nodes // self._width
 
     @property
     def first_pose(self) -> FloatArray:
@@ -167,18 +163,16 @@ class Ancestry:
             being a place among the nodes of the step before (0 for the trunk's end, and where there is none);
             `leaves` (N,) int64: each particle's place among the nodes of the last step.
         """
-        counts, poses, parents = list[int](), [np.empty(0)], [np.empty(0, dtype=np.int64)]
-        for stretch in self._stretches:
-            own = self._poses_of(stretch)
-            poses.append(own.ravel())
-            steps, nodes, _ = own.shape
-            counts += [nodes] * steps
-            parents += [stretch.parents, np.tile(np.arange(nodes), steps - 1)]
+        levels = [
+            (poses, np.arange(len(poses)) if step else stretch.parents)
+            for stretch in self._stretches
+            for step, poses in enumerate(self._poses_of(stretch))
+        ]
         return {
             "trunk": self._trunk_poses,
-            "counts": np.array(counts, dtype=np.int64),
-            "poses": np.concatenate(poses).reshape(-1, self._width),
-            "parents": np.concatenate(parents),
+            "counts": np.array([len(parents) for _, parents in levels], dtype=np.int64),
+            "poses": np.concatenate([np.empty((0, self._width)), *(poses for poses, _ in levels)]),
+            "parents": np.concatenate([np.empty(0, dtype=np.int64), *(parents for _, parents in levels)]),
             "leaves": self._leaves.copy(),
         }
 
@@ -197,16 +191,16 @@ class Ancestry:
         poses = read_array(arrays, "poses", np.float64, (nodes, 3))
         parents = read_array(arrays, "parents", np.int64, (nodes,))
         leaves = read_array(arrays, "leaves", np.int64, (None,))
-        begins = ends - counts
-        places = [*(parents[begin:end] for begin, end in zip(begins, ends, strict=True)), leaves]
+        levels = [(poses[e - k : e], parents[e - k : e]) for k, e in zip(counts, ends, strict=True)]
+        places = [*(own for _, own in levels), leaves]
         for count, used in zip([1, *counts], places, strict=True):
             if not np.array_equal(np.unique(used), np.arange(count)):
                 raise ArgumentError("parents, leaves", f"every one of {count} nodes of the step before, no other", used)
-        if len(trunk) + len(counts) == 0:
+        if len(trunk) + len(levels) == 0:
             raise ArgumentError("trunk, counts", "at least one step", 0)
         ancestry = cls(leaves, trunk)
-        for begin, end, own in zip(begins, ends, places[:-1], strict=True):
-            ancestry._append(poses[begin:end], own)
+        for level in levels:
+            ancestry._append(*level)
         ancestry._coalesce()
         return ancestry
 
@@ -216,22 +210,21 @@ class Ancestry:
             self._stretches[-1].poses.frombytes(poses.tobytes())
         else:
             self._stretches.append(_Stretch(array("d", poses.tobytes()), parents))
-        self.steps += 1
 
     def _prune(self) -> None:
         """Drop nodes without a living descendant."""
-        stretches, used = self._stretches, self._leaves
-        for k in range(len(stretches) - 1, -1, -1):
-            parents = stretches[k].parents
+        used = self._leaves
+        for k in range(len(self._stretches) - 1, -1, -1):
+            _, parents = stretch = self._stretches[k]
             kept, places = np.unique(used, return_inverse=True)
             if len(kept) == len(parents):
                 break
-            if k + 1 < len(stretches):
-                stretches[k + 1] = stretches[k + 1]._replace(parents=places)
+            if k + 1 < len(self._stretches):
+                self._stretches[k + 1] = self._stretches[k + 1]._replace(parents=places)
             else:
                 self._leaves = places
             used = parents[kept]
-            stretches[k] = _Stretch(array("d", self._poses_of(stretches[k])[:, kept].tobytes()), used)
+            self._stretches[k] = _Stretch(array("d", self._poses_of(stretch)[:, kept].tobytes()), used)
         self._coalesce()
 
     def _coalesce(self) -> None:

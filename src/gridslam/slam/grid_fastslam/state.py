@@ -204,8 +204,7 @@ class GridFastSlamState(OwnedState):
 
     def drift_on(self) -> None:
         """Add what the drift grew by since the key scan before, where no loop closure knows of a more certain way."""
-        (moments,) = compute_moments(self.reported.pose[None], self.drift_covariance[None])
-        self.drift = self.drift + moments
+        self.drift = self.drift + compute_moments(self.reported.pose[None], self.drift_covariance[None])[0]
 
     def resample(self, parents: IntArray) -> None:
         """Let particle i continue particle parents[i], all with equal weights.

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-from scipy.sparse import csr_matrix
+from scipy.sparse import coo_matrix
 from scipy.sparse.csgraph import dijkstra
 
 from gridslam.geometry.se2 import between, compose, inverse
@@ -52,12 +52,10 @@ def follow_certain_ways(
     pairs = np.concatenate([np.stack([own[:-1], own[1:]], axis=1), key_scan_pairs(links)])
     moments = np.concatenate([np.diff(sums, axis=0), link_moments])
     variances = np.maximum(position_variances(pose, moments), _LEAST_M2)
-    codes = np.sort(pairs, axis=1) @ [count, 1]
-    order = np.lexsort((variances, codes))
-    edges = order[np.diff(codes[order], prepend=-1) > 0]  # of several steps between two key scans the most certain one
-    codes = codes[edges]
-    begins = np.searchsorted(codes, count * np.arange(count + 1))
-    graph = csr_matrix((variances[edges], codes % count, begins), (count, count))
+    order = np.argsort(variances, kind="stable")
+    codes, lightest = np.unique(np.sort(pairs[order], axis=1) @ [count, 1], return_index=True)
+    edges = order[lightest]  # of several steps between two key scans the most certain one
+    graph = coo_matrix((variances[edges], pairs[edges].T), (count, count)).tocsr()
     costs, before = dijkstra(graph, directed=False, indices=key, return_predecessors=True)
     before[key] = key
     low, high = np.minimum(own, before), np.maximum(own, before)

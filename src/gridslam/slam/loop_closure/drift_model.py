@@ -119,16 +119,9 @@ def compute_moments_of_variances(poses: FloatArray, variances: FloatArray) -> Fl
 
 
 def _make_moments(poses: FloatArray, position: FloatArray, q: FloatArray) -> FloatArray:
-    x, y, _ = poses.T
-    moments = np.empty((len(poses), 9))
-    moments[:, :3] = position
-    moments[:, 3] = q
-    moments[:, 4] = qx = q * x
-    moments[:, 5] = qy = q * y
-    moments[:, 6] = qx * x
-    moments[:, 7] = qx * y
-    moments[:, 8] = qy * y
-    return moments
+    x, y = poses.T[:2]
+    qx, qy = q * poses.T[:2]
+    return np.concatenate([position, np.array([q, qx, qy, qx * x, qx * y, qy * y]).T], axis=1)
 
 
 def propagate_covariances(poses: FloatArray, moments: FloatArray) -> FloatArray:

@@ -40,11 +40,9 @@ _MATCH_RATIO = 1 / 6
 """Standard deviation that is expected of a constraint over the one that it has in searches and against outliers: 0.05 m
 for a beam over that of `PlaceMatching`."""
 
-_BLIND_VARIANCES = np.square([BLIND_SIGMA_M, BLIND_SIGMA_RAD])
-_DRIVEN, _GAPS, _BOUNDS, _DRIFTS = 0, 1, slice(2, 11), slice(11, 20)
-"""Columns of the sums along the way: metres driven, as tracked; gaps in the laser data; moments of the variances;
-moments of the drift from key scan 0, as tracked."""
 _COLUMNS = 20
+"""Columns of the sums along the way: metres driven, as tracked; gaps in the laser data; nine moments of the variances;
+nine moments of the drift from key scan 0, as tracked."""
 
 
 def submap_of(key: int) -> int:
@@ -130,7 +128,7 @@ class KeyGraph:
 
     def driven_m(self) -> FloatArray:
         """Metres driven (T,) up to each key scan, as tracked."""
-        return _rows(self._sums, _COLUMNS)[:, _DRIVEN].copy()
+        return _rows(self._sums, _COLUMNS)[:, 0].copy()
 
     def begins_drive(self, key: int) -> bool:
         """Whether a key scan is the first one of a drive that was joined with earlier ones."""
@@ -224,14 +222,16 @@ class KeyGraph:
         They lead along the increments and by determined constraints. Covariances are in the map frame, and those of
         the drift model's bounds.
         """
-        sums, links = _rows(self._sums, _COLUMNS)[:, _BOUNDS], (self._links, _rows(self._link_moments, 9))
-        ends, moments = follow_certain_ways(key, self.poses[key], anchors, self.tracked, sums, *links)
-        frames = np.array([self.tracked[anchor] for anchor in anchors.tolist()])
-        return between(frames, ends), propagate_covariances(self.poses[key], moments)
+        sums = _rows(self._sums, _COLUMNS)[:, 2:11]
+        ends, moments = follow_certain_ways(
+            key, self.poses[key], anchors, self.tracked, sums, self._links, _rows(self._link_moments, 9)
+        )
+        poses = between(np.array([self.tracked[anchor] for anchor in anchors.tolist()]), ends)
+        return poses, propagate_covariances(self.poses[key], moments)
 
     def label_gaps(self) -> IntArray:
         """Label (T,) of the stretch without a gap in the laser data that each key scan belongs to, ascending."""
-        return _rows(self._sums, _COLUMNS)[:, _GAPS].astype(np.int64)
+        return _rows(self._sums, _COLUMNS)[:, 1].astype(np.int64)
 
     def label_rigid_components(self, constraints: Sequence[Constraint] | None = None) -> IntArray:
         """Label (T,) of the rigid component of each key scan, the number of its first stretch without a gap.
@@ -255,8 +255,7 @@ class KeyGraph:
     def select_without_gap(self, keys: IntArray, anchor: int) -> IntArray:
         """Select those of consecutive key scans (K,) that no gap separates from `anchor`."""
         labels = self.label_gaps()
-        here: IntArray = keys[labels[keys] == labels[anchor]]
-        return here
+        return np.asarray(keys[labels[keys] == labels[anchor]], np.int64)
 
     def graph(
         self, increments: FloatArray | None = None, keys: int | None = None, constraints: int | None = None
@@ -317,15 +316,15 @@ class KeyGraph:
         poses = np.array(self.poses[first:])
         variances = np.array(self.variances[first:])
         tracked = np.array([self.tracked[max(first - 1, 0)], *self.tracked[first:]])
-        added = np.empty((len(poses), _COLUMNS))
-        added[:, _DRIVEN] = np.hypot(*(tracked[1:, :2] - tracked[:-1, :2]).T)
-        added[:, _GAPS] = (variances > _BLIND_VARIANCES).any(axis=1)
-        added[:, _BOUNDS] = compute_moments_of_variances(poses, variances)
-        added[:, _DRIFTS] = compute_moments(poses, np.array(self.drift_covariances[first:]))
+        driven_m = np.hypot(*(tracked[1:, :2] - tracked[:-1, :2]).T)[:, None]
+        is_gap = (variances > np.square([BLIND_SIGMA_M, BLIND_SIGMA_RAD])).any(axis=1, keepdims=True)
+        bounds = compute_moments_of_variances(poses, variances)
+        drifts = compute_moments(poses, np.array(self.drift_covariances[first:]))
+        added = np.concatenate([driven_m, is_gap, bounds, drifts], axis=1)
         if first:
             added[0] += _rows(self._sums, _COLUMNS)[-1]
         else:
-            added[0, _DRIFTS] = 0.0  # the first pose is the origin
+            added[0, 11:] = 0.0  # the first pose is the origin
         self._sums += added.cumsum(axis=0).tobytes()
 
     def _use(self, constraints: Sequence[Constraint]) -> None:
@@ -345,7 +344,7 @@ class KeyGraph:
 
     def _drift_at(self, key: int) -> FloatArray:
         """Moments (9,) of the drift from key scan 0 to another, along the most certain known way."""
-        drift: FloatArray = _rows(self._sums, _COLUMNS)[key, _DRIFTS] + self._gains[bisect_right(self._arrivals, key)]
+        drift: FloatArray = _rows(self._sums, _COLUMNS)[key, 11:] + self._gains[bisect_right(self._arrivals, key)]
         return drift
 
     def _shorten_ways(self, constraint: Constraint, moments: FloatArray) -> None:

@@ -99,8 +99,7 @@ def extract_features(points: FloatArray, most: int = _MOST_KEYPOINTS) -> SubmapF
 
     def brightness(across: FloatArray, up: FloatArray) -> NDArray[np.float32]:
         aside = np.rint(s * across + c * up) * width + np.rint(c * across - s * up)
-        found: NDArray[np.float32] = smooth.take(at + aside.astype(np.int64))
-        return found
+        return np.asarray(smooth.take(at + aside.astype(np.int64)), np.float32)
 
     is_darker = brightness(*_COMPARED[:2]) < brightness(*_COMPARED[2:])
     places = (np.stack([x, y], axis=1) + 0.5 + corner) * _CELL_M
