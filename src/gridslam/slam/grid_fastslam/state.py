@@ -203,7 +203,7 @@ class GridFastSlamState(OwnedState):
         self.drift_covariance = estimate.drift_covariance
 
     def drift_on(self) -> None:
-        """Add what the drift grew by since the key scan before, where no loop closure knows of a more certain way."""
+        """Add the drift since the key scan before; loop closure does without, as it may know of a more certain way."""
         self.drift = self.drift + compute_moments(self.reported.pose[None], self.drift_covariance[None])[0]
 
     def resample(self, parents: IntArray) -> None:
