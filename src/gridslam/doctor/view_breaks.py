@@ -6,7 +6,7 @@ import math
 from collections import defaultdict
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, field
-from itertools import groupby
+from itertools import groupby, islice
 from operator import itemgetter
 from typing import Generic, TypeVar, final
 
@@ -15,13 +15,13 @@ import numpy as np
 from gridslam.doctor.finding import Finding, Severity
 from gridslam.doctor.laser_motion import RANGES_M
 from gridslam.doctor.scan_prediction import PolarScan
-from gridslam.doctor.views import OTHER, SAME, View
+from gridslam.doctor.views import OTHER, SAME, View, find_similar
 from gridslam.geometry.se2 import between
 from gridslam.io.measurement import Measurement
 from gridslam.mapping.occupancy_grid_mapping import OccupancyGridMapping
 from gridslam.matching.branch_and_bound import BranchAndBound, Pyramid
 from gridslam.matching.gauss_newton import NO_PRIOR, GaussNewton, known_inlier_ratio
-from gridslam.types import FloatArray
+from gridslam.types import FloatArray, LaserScan
 
 _Item = TypeVar("_Item")
 
@@ -36,6 +36,7 @@ _NEARBY = BranchAndBound(window_m=0.5, window_rad=1.6, min_score=0.1)  # where s
 _SAME_PLACE = 0.88  # inlier ratio there: of 50 other places in simulated buildings none reached 0.86
 _SHOWN = 5
 _MOST_HELD = 100  # scans: a laser that falls silent decides nothing
+_BLOCK = 64  # scans that are compared at once
 
 
 @final
@@ -105,14 +106,20 @@ class ViewBreaks:
         """Whether the next scans show if the robot was carried."""
         return self._candidate is not None
 
-    def take(self, measurement: Measurement) -> bool:
-        """Take the next scan of the laser; return whether it shows that the robot was carried some scans ago."""
+    def take(self, measurement: Measurement, similar: LaserScan | None = None) -> bool:
+        """Take the next scan of the laser; return whether it shows that the robot was carried some scans ago.
+
+        `similar` is a scan that is known to be similar (see `find_similar`): beside it nothing is looked at again.
+        """
         odometry, scan = measurement
         if odometry is None:
             self._last = self._candidate = None
             return False
         view = View(odometry.pose, scan)
         self._first = self._first or view
+        if self._candidate is None and self._last is not None and self._last.scan is similar:
+            self._last, self._agreed = view, True
+            return False
         if self._last is not None and view.is_blind_beside(self._last):
             return False  # what is seen next is compared with what was seen before
         if self._candidate is not None:
@@ -196,8 +203,10 @@ def _number_drives(
 ) -> Iterator[tuple[int, Measurement]]:
     """Yield each measurement with the number of its drive, once that is certain."""
     numbering = DriveNumbering[Measurement](on_break)
-    for measurement in measurements:
-        yield from numbering.take(measurement, measurement)
+    stream = iter(measurements)
+    while block := list(islice(stream, _BLOCK)):
+        similar = find_similar([scan for _, scan in block])
+        yield from [done for one, to in zip(block, similar, strict=True) for done in numbering.take(one, one, to)]
     yield from numbering.end()
 
 
@@ -219,11 +228,16 @@ class DriveNumbering(Generic[_Item]):
         self._opened: dict[str, int] = {}  # where in them the view of a laser has changed
         self._number = 0
 
-    def take(self, item: _Item, measurement: Measurement) -> list[tuple[int, _Item]]:
-        """Take an item with its measurement; return those whose drive is certain from here on, and its number."""
+    def take(
+        self, item: _Item, measurement: Measurement, similar: LaserScan | None = None
+    ) -> list[tuple[int, _Item]]:
+        """Take an item with its measurement; return those whose drive is certain from here on, and its number.
+
+        `similar` is as for `ViewBreaks.take`.
+        """
         sensor = measurement.scan.sensor
         own = self._breaks[sensor]
-        is_carried = own.take(measurement)
+        is_carried = own.take(measurement, similar)
         self._held.append(item)
         certain: list[tuple[int, _Item]] = []
         if is_carried:

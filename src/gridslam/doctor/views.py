@@ -3,15 +3,17 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from functools import cached_property
 from typing import Final, final
 
 import numpy as np
+from numpy.typing import NDArray
 
 from gridslam.doctor.range_units import polar_scan
 from gridslam.doctor.scan_prediction import PolarScan, find_disagreement, log_ratios, move_laser
 from gridslam.geometry.se2 import between
-from gridslam.types import BeamStatus, FloatArray, LaserScan
+from gridslam.types import BeamStatus, FloatArray, IntArray, LaserScan
 
 OTHER: Final = 0.2
 """Disagreement (`View.differs_from`) from which on two scans show different places; on real logs it is a hundredth to a
@@ -31,16 +33,17 @@ _SIDE = 0.05  # of the logarithms: that much nearer, or farther
 
 @final
 class View:
-    """A scan with the pose (3,) of the odometry; its ranges are ordered by bearing once they are needed.
-
-    `measured` (B,) are the ranges, 0 where nothing was hit.
-    """
+    """A scan with the pose (3,) of the odometry; its ranges are ordered by bearing once they are needed."""
 
     def __init__(self, pose: FloatArray, scan: LaserScan) -> None:
         """Keep both as they are."""
         self.pose = pose
         self.scan = scan
-        self.measured = np.where(scan.status == _HIT, scan.ranges, 0.0)
+
+    @cached_property
+    def measured(self) -> FloatArray:
+        """The ranges (B,), 0 where nothing was hit."""
+        return _measured(self.scan.ranges, self.scan.status)
 
     @cached_property
     def polar(self) -> PolarScan | None:
@@ -49,14 +52,13 @@ class View:
 
     def is_blind_beside(self, before: View) -> bool:
         """Whether hardly anything is seen, beside before: the laser is covered, or held to floor or ceiling."""
-        seen, was_seen = (np.count_nonzero(view.measured > _COVER_M) for view in (self, before))
-        return bool(seen < _BLIND * was_seen)
+        return _count_seen(self.measured) < _BLIND * _count_seen(before.measured)
 
     def is_changed_from(self, before: View) -> bool:
         """Return whether more than half of the ranges are others than before, beam by beam and by the turn of both."""
         if len(self.scan) != len(before.scan) or len(self.scan) < 2:
             return True
-        return are_changed(before.measured, self.measured) and self._is_changed_by_more_than_turn(before)
+        return bool(are_changed(before.measured, self.measured)) and self._is_changed_by_more_than_turn(before)
 
     def _is_changed_by_more_than_turn(self, before: View) -> bool:
         """Compare each beam with the one that looked that way before the robot turned, of beams at equal steps."""
@@ -66,7 +68,7 @@ class View:
         beams = len(self.scan)
         shift = round(turn / step) if abs(turn) < abs(step) * beams else 0
         was = before.measured[max(shift, 0) : beams + min(shift, 0)]
-        return are_changed(was, self.measured[max(-shift, 0) : beams - max(shift, 0)])
+        return bool(are_changed(was, self.measured[max(-shift, 0) : beams - max(shift, 0)]))
 
     def differs_from(self, before: PolarScan, pose: FloatArray) -> float:
         """How badly the scan agrees with one from before; NaN or infinite where they have too little in common."""
@@ -88,6 +90,31 @@ class View:
         return bool(low < -_SIDE and high > _SIDE)
 
 
-def are_changed(was: FloatArray, now: FloatArray) -> bool:
-    """Return whether more than half of ranges (B,) are others than before; people who pass change fewer."""
-    return bool(np.count_nonzero(np.abs(now - was) > _CHANGED_M + _CHANGED * was) > _MOST_CHANGED * len(now))
+def find_similar(scans: Sequence[LaserScan]) -> list[LaserScan | None]:
+    """Return for each of consecutive scans the one before it, if both are similar without regard to the odometry; else None.
+
+    Similar is what is neither blind beside the other nor changed from it. Many scans of one laser are compared at once.
+    """
+    beams = {len(scan) for scan in scans}
+    if len(beams) > 1 or min(beams) < 2:
+        return [None] * len(scans)
+    measured = _measured(np.array([scan.ranges for scan in scans]), np.array([scan.status for scan in scans]))
+    seen = _count_seen(measured)
+    similar = (seen[1:] >= _BLIND * seen[:-1]) & ~are_changed(measured[:-1], measured[1:])
+    return [None, *(before if is_similar else None for before, is_similar in zip(scans, similar.tolist()))]
+
+
+def _measured(ranges: FloatArray, status: NDArray[np.uint8]) -> FloatArray:
+    """Return ranges (..., B), 0 where nothing was hit."""
+    return np.where(status == _HIT, ranges, 0.0)
+
+
+def _count_seen(measured: FloatArray) -> IntArray:
+    """Return how many of ranges (..., B) are beyond what covers a laser."""
+    return (measured > _COVER_M).sum(axis=-1)
+
+
+def are_changed(was: FloatArray, now: FloatArray) -> NDArray[np.bool_]:
+    """Return whether more than half of ranges (..., B) are others than before; people who pass change fewer."""
+    changed = np.abs(now - was) > _CHANGED_M + _CHANGED * was
+    return changed.sum(axis=-1) > _MOST_CHANGED * now.shape[-1]
