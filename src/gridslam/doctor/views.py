@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from gridslam.doctor.range_units import polar_scan
 from gridslam.doctor.scan_prediction import PolarScan, find_disagreement, log_ratios, move_laser
 from gridslam.geometry.se2 import between
-from gridslam.types import BeamStatus, FloatArray, IntArray, LaserScan
+from gridslam.types import BeamStatus, FloatArray, LaserScan
 
 OTHER: Final = 0.2
 """Disagreement (`View.differs_from`) from which on two scans show different places; on real logs it is a hundredth to a
@@ -43,16 +43,12 @@ class View:
     @cached_property
     def measured(self) -> FloatArray:
         """The ranges (B,), 0 where nothing was hit."""
-        return _measured(self.scan.ranges, self.scan.status)
+        return np.where(self.scan.status == _HIT, self.scan.ranges, 0.0)
 
     @cached_property
     def polar(self) -> PolarScan | None:
         """The measured ranges by their bearings; None if they are too few."""
         return polar_scan(self.scan)
-
-    def is_blind_beside(self, before: View) -> bool:
-        """Whether hardly anything is seen, beside before: the laser is covered, or held to floor or ceiling."""
-        return _count_seen(self.measured) < _BLIND * _count_seen(before.measured)
 
     def is_changed_from(self, before: View) -> bool:
         """Return whether more than half of the ranges are others than before, beam by beam and by the turn of both."""
@@ -70,51 +66,44 @@ class View:
         was = before.measured[max(shift, 0) : beams + min(shift, 0)]
         return bool(are_changed(was, self.measured[max(-shift, 0) : beams - max(shift, 0)]))
 
-    def differs_from(self, before: PolarScan, pose: FloatArray) -> float:
+    def differs_from(self, before: View) -> float:
         """How badly the scan agrees with one from before; NaN or infinite where they have too little in common."""
-        view = self.polar
-        if view is None:
+        if self.polar is None or before.polar is None:
             return math.nan
-        return find_disagreement(before, view, move_laser(before, view, between(pose, self.pose)))
+        moved = move_laser(before.polar, self.polar, between(before.pose, self.pose))
+        return find_disagreement(before.polar, self.polar, moved)
 
-    def is_both_sides_of(self, before: PolarScan, pose: FloatArray) -> bool:
+    def is_both_sides_of(self, before: View) -> bool:
         """Return whether many beams end nearer, and many farther than by the view from before.
 
         Who passes a door sees farther in most directions, or nearer.
         """
-        view = self.polar
-        if view is None:
+        if self.polar is None or before.polar is None:
             return False
-        ratios = log_ratios(before, view, move_laser(before, view, between(pose, self.pose)))
+        moved = move_laser(before.polar, self.polar, between(before.pose, self.pose))
+        ratios = log_ratios(before.polar, self.polar, moved)
         low, high = np.quantile(ratios, [_MANY, 1 - _MANY]) if len(ratios) else (0.0, 0.0)
         return bool(low < -_SIDE and high > _SIDE)
 
 
 def find_similar(scans: Sequence[LaserScan]) -> list[LaserScan | None]:
-    """Return for each of consecutive scans the one before it, if both are similar without regard to the odometry; else None.
+    """Return for each of consecutive scans the one before it, None where that one is not similar.
 
-    Similar is what is neither blind beside the other nor changed from it. Many scans of one laser are compared at once.
+    Similar are scans of which none is covered beside the other, and whose ranges are not changed beam by beam: they are
+    compared all at once. Where the number of beams varies none is called similar.
     """
-    beams = {len(scan) for scan in scans}
-    if len(beams) > 1 or min(beams) < 2:
+    if len({len(scan) for scan in scans}) > 1:
         return [None] * len(scans)
-    measured = _measured(np.array([scan.ranges for scan in scans]), np.array([scan.status for scan in scans]))
-    seen = _count_seen(measured)
-    similar = (seen[1:] >= _BLIND * seen[:-1]) & ~are_changed(measured[:-1], measured[1:])
-    return [None, *(before if is_similar else None for before, is_similar in zip(scans, similar.tolist()))]
+    measured = np.where(np.array([scan.status for scan in scans]) == _HIT, [scan.ranges for scan in scans], 0.0)
+    differ = are_covered(measured[:-1], measured[1:]) | are_changed(measured[:-1], measured[1:])
+    return [None, *(None if other else before for before, other in zip(scans[:-1], differ.tolist(), strict=True))]
 
 
-def _measured(ranges: FloatArray, status: NDArray[np.uint8]) -> FloatArray:
-    """Return ranges (..., B), 0 where nothing was hit."""
-    return np.where(status == _HIT, ranges, 0.0)
-
-
-def _count_seen(measured: FloatArray) -> IntArray:
-    """Return how many of ranges (..., B) are beyond what covers a laser."""
-    return (measured > _COVER_M).sum(axis=-1)
+def are_covered(was: FloatArray, now: FloatArray) -> NDArray[np.bool_]:
+    """Return whether ranges (..., B) show hardly anything beside those before: so does a laser held to the floor."""
+    return np.asarray((now > _COVER_M).sum(axis=-1) < _BLIND * (was > _COVER_M).sum(axis=-1))
 
 
 def are_changed(was: FloatArray, now: FloatArray) -> NDArray[np.bool_]:
     """Return whether more than half of ranges (..., B) are others than before; people who pass change fewer."""
-    changed = np.abs(now - was) > _CHANGED_M + _CHANGED * was
-    return changed.sum(axis=-1) > _MOST_CHANGED * now.shape[-1]
+    return np.asarray((np.abs(now - was) > _CHANGED_M + _CHANGED * was).sum(axis=-1) > _MOST_CHANGED * now.shape[-1])
