@@ -195,7 +195,7 @@ def _number_drives(
     stream = iter(measurements)
     while block := list(islice(stream, _BLOCK)):
         taken = map(numbering.take, block, block, find_similar([scan for _, scan in block]))
-        yield from list(chain.from_iterable(taken))  # at once: between steps of the filter caches are cold
+        yield from list(chain.from_iterable(taken))  # all ahead of the filter's steps, not one between two of them
     yield from numbering.end()
 
 
