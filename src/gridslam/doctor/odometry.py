@@ -160,7 +160,7 @@ def _is_changed(before: LaserScan, after: LaserScan) -> bool:
     if len(before) != len(after):
         return False
     both = (before.status == BeamStatus.HIT) & (after.status == BeamStatus.HIT)
-    return int(np.count_nonzero(both)) >= _FEWEST_BEAMS and are_changed(before.ranges[both], after.ranges[both])
+    return bool(both.sum() >= _FEWEST_BEAMS and are_changed(before.ranges[both], after.ranges[both]))
 
 
 def _motion(before: _Place, after: _Place) -> tuple[float, float]:

@@ -6,7 +6,7 @@ import math
 from collections import defaultdict
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, field
-from itertools import groupby
+from itertools import chain, groupby, islice
 from operator import itemgetter
 from typing import Generic, TypeVar, final
 
@@ -14,14 +14,13 @@ import numpy as np
 
 from gridslam.doctor.finding import Finding, Severity
 from gridslam.doctor.laser_motion import RANGES_M
-from gridslam.doctor.scan_prediction import PolarScan
-from gridslam.doctor.views import OTHER, SAME, View
+from gridslam.doctor.views import OTHER, SAME, View, are_covered, find_similar
 from gridslam.geometry.se2 import between
 from gridslam.io.measurement import Measurement
 from gridslam.mapping.occupancy_grid_mapping import OccupancyGridMapping
 from gridslam.matching.branch_and_bound import BranchAndBound, Pyramid
 from gridslam.matching.gauss_newton import NO_PRIOR, GaussNewton, known_inlier_ratio
-from gridslam.types import FloatArray
+from gridslam.types import FloatArray, LaserScan
 
 _Item = TypeVar("_Item")
 
@@ -36,6 +35,7 @@ _NEARBY = BranchAndBound(window_m=0.5, window_rad=1.6, min_score=0.1)  # where s
 _SAME_PLACE = 0.88  # inlier ratio there: of 50 other places in simulated buildings none reached 0.86
 _SHOWN = 5
 _MOST_HELD = 100  # scans: a laser that falls silent decides nothing
+_BLOCK = 64  # scans that are read, and compared, at once
 
 
 @final
@@ -43,7 +43,6 @@ _MOST_HELD = 100  # scans: a laser that falls silent decides nothing
 class _Candidate:
     """A scan whose view is another one than that of the scan before, and how those after it differ from both."""
 
-    before: PolarScan
     last: View
     first: View
     latest: View
@@ -52,10 +51,8 @@ class _Candidate:
 
     def watch(self, view: View) -> bool | None:
         """Return whether the robot was carried, by one scan more; None as long as that is open."""
-        self.from_before.append(view.differs_from(self.before, self.last.pose))
-        latest = self.latest.polar
-        step = math.nan if latest is None else view.differs_from(latest, self.latest.pose)
-        self.from_step_to_step.append(step)
+        self.from_before.append(view.differs_from(self.last))
+        self.from_step_to_step.append(view.differs_from(self.latest))
         self.latest = view
         if self.from_before[-1] < _STILL_OTHER:
             return False
@@ -105,31 +102,35 @@ class ViewBreaks:
         """Whether the next scans show if the robot was carried."""
         return self._candidate is not None
 
-    def take(self, measurement: Measurement) -> bool:
-        """Take the next scan of the laser; return whether it shows that the robot was carried some scans ago."""
+    def take(self, measurement: Measurement, similar: LaserScan | None = None) -> bool:
+        """Take the next scan of the laser; return whether it shows that the robot was carried some scans ago.
+
+        `similar` is a scan that is known to be similar (see `find_similar`): they are not compared again.
+        """
         odometry, scan = measurement
         if odometry is None:
             self._last = self._candidate = None
             return False
         view = View(odometry.pose, scan)
         self._first = self._first or view
-        if self._last is not None and view.is_blind_beside(self._last):
+        last = None if self._last is not None and self._last.scan is similar else self._last
+        if last is not None and are_covered(last.measured, view.measured):
             return False  # what is seen next is compared with what was seen before
-        if self._candidate is not None:
-            carried = self._candidate.watch(view)
-            if carried:
-                self._note(self._candidate.first)
-            self._candidate = self._candidate if carried is None else None
-            self._last = view
-            return bool(carried)
-        self._compare(view)
         self._last = view
-        return False
+        if self._candidate is None:
+            self._compare(last, view)
+            return False
+        carried = self._candidate.watch(view)
+        if carried:
+            begin = self._candidate.first
+            seconds = (begin.scan.stamp_ns - self._first.scan.stamp_ns) * 1e-9
+            self.found.append((seconds, between(self._first.pose, begin.pose)))
+        self._candidate = self._candidate if carried is None else None
+        return bool(carried)
 
-    def _compare(self, view: View) -> None:
+    def _compare(self, last: View | None, view: View) -> None:
         """Look whether the view is another one than that of the scan before, which agreed with those before it."""
-        last, agreed = self._last, self._agreed
-        self._agreed = True
+        agreed, self._agreed = self._agreed, True
         if last is None or not view.is_changed_from(last):
             return
         x, y, turn = between(last.pose, view.pose).tolist()
@@ -138,19 +139,13 @@ class ViewBreaks:
             return
         if last.scan.beams(0.0, math.inf).shows_one_thing or view.scan.beams(0.0, math.inf).shows_one_thing:
             return
-        before = last.polar
         is_at_once = moved < 0.5 and 0 < view.scan.stamp_ns - last.scan.stamp_ns < 1e9 * _AT_ONCE_S
-        if before is None or not (is_at_once or view.is_both_sides_of(before, last.pose)):
+        if last.polar is None or not (is_at_once or view.is_both_sides_of(last)):
             return
-        difference = view.differs_from(before, last.pose)
+        difference = view.differs_from(last)
         self._agreed = difference < SAME
         if agreed and difference > (_STILL_OTHER if is_at_once else OTHER):
-            self._candidate = _Candidate(before, last, view, view, [difference])
-
-    def _note(self, view: View) -> None:
-        if self._first is not None:
-            seconds = (view.scan.stamp_ns - self._first.scan.stamp_ns) * 1e-9
-            self.found.append((seconds, between(self._first.pose, view.pose)))
+            self._candidate = _Candidate(last, view, view, [difference])
 
     def findings(self, sensor: str) -> Iterator[Finding]:
         """Yield the finding on the laser of that name."""
@@ -177,8 +172,9 @@ def split_where_carried(
 ) -> Iterator[Iterator[Measurement]]:
     """Yield the measurements of each drive; a new one begins where a laser shows that the robot was carried.
 
-    They come in their order, each drive's before the next one's. Scans are held back as long as it is open whether they
-    begin a drive: ten of a laser at most, and only where the view changes.
+    They come in their order, each drive's before the next one's. Blocks of 64 scans are read and compared at once.
+    Beyond that scans are held back as long as it is open whether they begin a drive: ten of a laser at most, and only
+    where the view changes.
 
     Parameters
     ----------
@@ -196,8 +192,10 @@ def _number_drives(
 ) -> Iterator[tuple[int, Measurement]]:
     """Yield each measurement with the number of its drive, once that is certain."""
     numbering = DriveNumbering[Measurement](on_break)
-    for measurement in measurements:
-        yield from numbering.take(measurement, measurement)
+    stream = iter(measurements)
+    while block := list(islice(stream, _BLOCK)):
+        taken = map(numbering.take, block, block, find_similar([scan for _, scan in block]))
+        yield from list(chain.from_iterable(taken))  # all ahead of the filter's steps, not one between two of them
     yield from numbering.end()
 
 
@@ -219,11 +217,14 @@ class DriveNumbering(Generic[_Item]):
         self._opened: dict[str, int] = {}  # where in them the view of a laser has changed
         self._number = 0
 
-    def take(self, item: _Item, measurement: Measurement) -> list[tuple[int, _Item]]:
-        """Take an item with its measurement; return those whose drive is certain from here on, and its number."""
+    def take(self, item: _Item, measurement: Measurement, similar: LaserScan | None = None) -> list[tuple[int, _Item]]:
+        """Take an item with its measurement; return those whose drive is certain from here on, and its number.
+
+        `similar` is as for `ViewBreaks.take`.
+        """
         sensor = measurement.scan.sensor
         own = self._breaks[sensor]
-        is_carried = own.take(measurement)
+        is_carried = own.take(measurement, similar)
         self._held.append(item)
         certain: list[tuple[int, _Item]] = []
         if is_carried:

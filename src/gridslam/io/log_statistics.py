@@ -8,7 +8,7 @@ from dataclasses import dataclass, field, replace
 from typing import Any, final
 
 from gridslam.io.measurement import Measurement
-from gridslam.types import BeamStatus, FloatArray, LaserScan
+from gridslam.types import BeamStatus, FloatArray
 
 _BY_SCAN = (
     "selection",
@@ -169,15 +169,6 @@ class LogStatistics:
         status = scan.status.tobytes()  # counted several times as fast as the array
         self.invalid_beams += status.count(BeamStatus.INVALID)
         self.no_return_beams += status.count(BeamStatus.NO_RETURN)
-        self._count_stamp(scan)
-        if odometry is None:
-            self.without_odometry += 1
-            return
-        place = odometry.pose.tolist()[:2]
-        self.odometry_length_m += 0.0 if self._last_place is None else math.dist(self._last_place, place)
-        self._last_place = place
-
-    def _count_stamp(self, scan: LaserScan) -> None:
         if self.last_stamp_ns is None:
             self.first_stamp_ns = scan.stamp_ns
         elif scan.stamp_ns < self.last_stamp_ns:
@@ -186,3 +177,9 @@ class LogStatistics:
             self.duplicate_stamps += 1
         self.last_stamp_ns = scan.stamp_ns
         self._last_sensor = scan.sensor
+        if odometry is None:
+            self.without_odometry += 1
+            return
+        place = odometry.pose.tolist()[:2]
+        self.odometry_length_m += 0.0 if self._last_place is None else math.dist(self._last_place, place)
+        self._last_place = place

@@ -159,19 +159,13 @@ def read_numbered_lines(path: str | Path, *, with_comments: bool = False) -> Ite
         raise InputError(path, "the compressed file ends in the middle", number)
 
 
-def _find_compression(file: IO[bytes]) -> str:
-    """Return "bz2", "gzip" or "" by the first bytes of a file, independent of its name; the file is rewound."""
+def _decompressed(file: IO[bytes]) -> IO[bytes]:
+    """Undo the compression that the first bytes of a file show, independent of its name."""
     magic = file.read(3)
     file.seek(0)
-    return "bz2" if magic == b"BZh" else "gzip" if magic[:2] == b"\x1f\x8b" else ""
-
-
-def _decompressed(file: IO[bytes]) -> IO[bytes]:
-    """Undo the compression of a file."""
-    compression = _find_compression(file)
-    if compression == "bz2":
+    if magic == b"BZh":
         return bz2.BZ2File(file)
-    return cast(IO[bytes], gzip.GzipFile(fileobj=file)) if compression else file
+    return cast(IO[bytes], gzip.GzipFile(fileobj=file)) if magic[:2] == b"\x1f\x8b" else file
 
 
 @final

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from gridslam.doctor import Doctor, Severity
-from gridslam.doctor.view_breaks import DriveNumbering, ViewBreaks
-from gridslam.doctor.views import View
+from gridslam.doctor.view_breaks import DriveNumbering, ViewBreaks, split_where_carried
+from gridslam.doctor.views import View, find_similar
 from gridslam.geometry.se2 import between, compose
 from gridslam.scan import LaserScan, ScanGeometry
 from gridslam.sim import LidarConfig, OdometryNoise, PeopleConfig, RobotConfig, make_world, simulate
@@ -87,6 +87,27 @@ def test_of_places_a_metre_or_more_apart_most_are_told_apart(world, least):
     found = [breaks(carry(measurements[a - 6 : a], measurements[b : b + 13])) for a, b in pairs[:15]]
     assert sum(map(bool, found)) >= least
     assert breaks(measurements) == []
+
+
+def test_scans_compared_in_blocks_make_the_same_drives_as_one_by_one():
+    """Among them are a covered laser, scans without odometry, scans of other beams, and a second laser."""
+    measurements = carried()
+    similar = find_similar([scan for _, scan in measurements])
+    assert 0.8 * len(similar) < sum(scan is not None for scan in similar) < len(similar) - 1
+    covered = LaserScan.from_ranges(0, np.full(len(measurements[0].scan), 0.1), measurements[0].scan.geometry)
+    few = LaserScan.from_ranges(0, np.ones(1), ScanGeometry([0.0]))
+    for k, scan in ((30, covered), (31, covered), (70, few), (140, covered)):
+        measurements[k] = measurements[k]._replace(scan=replace(scan, sensor=measurements[k].scan.sensor))
+    measurements[40] = measurements[40]._replace(odometry=None)
+    for k in (50, 51, 53, 150, 152):
+        measurements[k] = measurements[k]._replace(scan=replace(measurements[k].scan, sensor="rear"))
+    found, expected = [], []
+    numbering = DriveNumbering(expected.append)
+    numbers = [pair for one in measurements for pair in numbering.take(one, one)] + numbering.end()
+    drives = [list(drive) for drive in split_where_carried(measurements, found.append)]
+    assert [(number, one) for number, drive in enumerate(drives) for one in drive] == numbers
+    assert [each.message for each in found] == [each.message for each in expected]
+    assert len(drives) == 2
 
 
 def test_people_who_pass_are_no_break():
