@@ -156,8 +156,9 @@ def thin(beams: BeamEnds, side_m: float) -> BeamEnds:
     robot that drives backwards. Most beams end near the robot, and would outweigh the few that determine its place
     along a corridor.
     """
-    x, y = np.floor(beams.ends / side_m).T
-    is_first = np.append(True, (x[1:] != x[:-1]) | (y[1:] != y[:-1]))
+    squares = np.floor(beams.ends / side_m).view(np.complex128)[:, 0]
+    is_first = np.ones(len(squares), np.bool_)
+    np.not_equal(squares[1:], squares[:-1], out=is_first[1:])
     return StoredScan(beams.ends.compress(is_first, axis=0), beams.origin)
 
 
