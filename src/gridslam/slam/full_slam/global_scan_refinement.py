@@ -376,16 +376,18 @@ class _Refinement:
         closure_state.rejected[RejectionReason.INCONSISTENT] += rejected
         pairs = {constraint.pair for constraint in known}
         new = [constraint for constraint in found if constraint.pair not in pairs]
-        # the filter's poses are drawn at random, and off for some key scans after a gap: components have tracked shapes
-        self.graph.correct(SOLVER.solve(self._graph(begin.graph.poses, known)).poses)
-        new += align_components(
-            closure_state,
-            self.mapper,
-            self.stretches,
-            self.closure.places,
-            self.on_progress,
-            self.searched,
-        )
+        if self.graph.label_rigid_components().any():
+            # the filter's poses are drawn at random, and off for some key scans after a gap: components have tracked
+            # shapes
+            self.graph.correct(SOLVER.solve(self._graph(begin.graph.poses, known)).poses)
+            new += align_components(
+                closure_state,
+                self.mapper,
+                self.stretches,
+                self.closure.places,
+                self.on_progress,
+                self.searched,
+            )
         new = [c for c in new if c.determined or c.pair not in pairs]
         if not new:
             return None
