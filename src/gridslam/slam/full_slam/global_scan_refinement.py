@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
+from itertools import accumulate
 from typing import NamedTuple, final
 
 import numpy as np
@@ -231,11 +232,11 @@ def leave_to_search(graph: KeyGraph, searched: int) -> list[Constraint]:
     What was tracked across a gap after the first of them rests on it. Drives, and the first `searched` key scans, were
     joined otherwise.
     """
-    gaps, kept, rests_on_place = graph.label_gaps(), [], False
-    drives = np.cumsum([graph.begins_drive(key) for key in range(len(graph))])
+    gaps, kept, rests_on_place = graph.label_gaps().tolist(), [], False
+    drives = [*accumulate(graph.begins_drive(key) for key in range(len(graph)))]
     for constraint in graph.constraints:
-        ends = list(constraint.pair)
-        is_searched = max(ends) >= max(searched, graph.frozen) and bool(np.ptp(gaps[ends]) > np.ptp(drives[ends]) == 0)
+        a, b = constraint.pair
+        is_searched = max(a, b) >= max(searched, graph.frozen) and gaps[a] != gaps[b] and drives[a] == drives[b]
         rests_on_place = rests_on_place or (is_searched and constraint.source is ConstraintSource.RECOGNIZED)
         if not (is_searched and rests_on_place):
             kept.append(constraint)
