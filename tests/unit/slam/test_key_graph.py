@@ -55,7 +55,7 @@ def propagated(graph, keys):
 def contents(graph):
     """All that is saved, and what follows from it."""
     saved = {name: (array.shape, array.tobytes()) for name, array in to_arrays(graph).items()}
-    return saved, graph._sums.copy(), [link.pair for link in graph._links], graph._link_moments.copy()
+    return saved, graph._sums.copy(), [link.pair for link in graph._links], graph._link_rows.copy()
 
 
 def test_variances_of_an_increment_grow_with_metres_and_radians():
@@ -118,7 +118,7 @@ def test_no_way_through_the_graph_is_more_certain(seed):
             graph.add(constraint(graph, from_, to, float(rng.choice([1e2, 1e4]))))
     variances = compute_moments_of_variances(np.array(graph.poses), np.array(graph.variances))
     steps = [(k - 1, k, variances[k]) for k in range(1, 68)]
-    link_moments = np.frombuffer(graph._link_moments).reshape(-1, 9)
+    link_moments = np.frombuffer(graph._link_rows).reshape(-1, 11)[:, 2:]
     steps += [(*link.pair, moments) for link, moments in zip(graph._links, link_moments, strict=True)]
     least = np.full(68, np.inf)
     least[-1] = 0.0

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
-from itertools import accumulate
 from typing import NamedTuple, final
 
 import numpy as np
@@ -233,7 +232,7 @@ def leave_to_search(graph: KeyGraph, searched: int) -> list[Constraint]:
     joined otherwise.
     """
     gaps, kept, rests_on_place = graph.label_gaps().tolist(), [], False
-    drives = [*accumulate(graph.begins_drive(key) for key in range(len(graph)))]
+    drives = np.cumsum([graph.begins_drive(key) for key in range(len(graph))]).tolist()
     for constraint in graph.constraints:
         a, b = constraint.pair
         is_searched = max(a, b) >= max(searched, graph.frozen) and gaps[a] != gaps[b] and drives[a] == drives[b]

@@ -107,6 +107,5 @@ def _select_searches(
         if not is_near.any():
             continue
         best = int(np.where(is_near, sigmas_m, np.inf).argmin())
-        search = WantedSearch(submap, 0, int(older[best]), expected[best], covariances[best])
-        wanted.append((search, older[is_near]))
+        wanted.append((WantedSearch(submap, 0, int(older[best]), expected[best], covariances[best]), older[is_near]))
     return wanted

@@ -5,11 +5,11 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-from scipy.sparse import coo_matrix
+from scipy.sparse import csr_matrix
 from scipy.sparse.csgraph import dijkstra
 
 from gridslam.geometry.se2 import between, compose, inverse
-from gridslam.slam.loop_closure.constraints import Constraint, key_scan_pairs
+from gridslam.slam.loop_closure.constraints import Constraint
 from gridslam.slam.loop_closure.drift_model import position_variances
 from gridslam.types import FloatArray, IntArray
 
@@ -24,6 +24,7 @@ def follow_certain_ways(
     tracked: Sequence[FloatArray],
     sums: FloatArray,
     links: Sequence[Constraint],
+    link_pairs: IntArray,
     link_moments: FloatArray,
 ) -> tuple[FloatArray, FloatArray]:
     """Follow the most certain ways from a key scan to others (K,), over increments and constraints (Dijkstra).
@@ -34,8 +35,8 @@ def follow_certain_ways(
         The key scan, and where it is in the map.
     tracked, sums : sequence of T (3,) float64, (T, 9) float64
         All key scans as tracked, and the moments of the increments up to each (see `compute_moments`).
-    links, link_moments : sequence of L Constraint, (L, 9) float64
-        Constraints, by which ways may lead in either direction, and their moments.
+    links, link_pairs, link_moments : sequence of L Constraint, (L, 2) int64, (L, 9) float64
+        Constraints, by which ways may lead in either direction, their key scans and their moments.
 
     Returns
     -------
@@ -49,19 +50,21 @@ def follow_certain_ways(
     """
     count = len(sums)
     own = np.arange(count)
-    pairs = np.concatenate([np.stack([own[:-1], own[1:]], axis=1), key_scan_pairs(links)])
+    pairs = np.concatenate([np.stack([own[:-1], own[1:]], axis=1), link_pairs])
     moments = np.concatenate([np.diff(sums, axis=0), link_moments])
     variances = np.maximum(position_variances(pose, moments), _LEAST_M2)
-    order = np.argsort(variances, kind="stable")
-    codes, lightest = np.unique(np.sort(pairs[order], axis=1) @ [count, 1], return_index=True)
-    edges = order[lightest]  # of several steps between two key scans the most certain one
-    graph = coo_matrix((variances[edges], pairs[edges].T), (count, count)).tocsr()
+    order = np.argsort(pairs[:, 0], kind="stable")
+    begins = np.searchsorted(pairs[order, 0], np.arange(count + 1))
+    # several steps between two key scans stay apart, other than in a matrix made of triples, which would be their sum
+    graph = csr_matrix((variances[order], pairs[order, 1], begins), (count, count))
     costs, before = dijkstra(graph, directed=False, indices=key, return_predecessors=True)
     before[key] = key
-    low, high = np.minimum(own, before), np.maximum(own, before)
-    step = edges[np.minimum(np.searchsorted(codes, low * count + high), len(edges) - 1)]
+    link_into = np.full(count, -1)  # by which the way comes to each
+    for from_, to in (link_pairs.T, link_pairs.T[::-1]):
+        is_taken = (before[to] == from_) & (costs[from_] + variances[count - 1 :] == costs[to])
+        link_into[to[is_taken]] = np.flatnonzero(is_taken)
     # where each way last came by a constraint, or where it began: from there on it follows the increments
-    entries = np.where((step >= count - 1) | (own == key), own, before)
+    entries = np.where((link_into >= 0) | (own == key), own, before)
     while (entries != entries[entries]).any():
         entries = entries[entries]
 
@@ -79,9 +82,9 @@ def follow_certain_ways(
     for entry in sorted(needed, key=costs.__getitem__):
         last = int(before[entry])
         end, so_far = reached[int(entries[last])]
-        link = links[step[entry] - (count - 1)]
+        link = links[link_into[entry]]
         measured = link.measurement if link.from_ == entry else inverse(link.measurement)
         here = compose(tracked[entry], compose(measured, between(tracked[last], end)))
-        reached[entry] = here, so_far + drive(entries[last], last) + moments[step[entry]]
+        reached[entry] = here, so_far + drive(entries[last], last) + link_moments[link_into[entry]]
     ends, passed = zip(*(reached[entry] for entry in entries[others].tolist()), strict=True)
     return np.array(ends), np.array(passed) + drive(entries[others], others)

@@ -141,7 +141,7 @@ def propagate_covariances(poses: FloatArray, moments: FloatArray) -> FloatArray:
 
 
 def position_variances(pose: FloatArray, moments: FloatArray) -> FloatArray:
-    """Traces (...) of the covariances of the position that `propagate_covariances` makes at a pose (3,)."""
-    xx, _, yy, q, qx, qy, qxx, _, qyy = np.moveaxis(moments, -1, 0)
+    """Traces (K,), or one, of the covariances of the position that `propagate_covariances` makes at a pose (3,)."""
+    xx, _, yy, q, qx, qy, qxx, _, qyy = moments.tolist() if moments.ndim == 1 else moments.T
     x, y, _ = pose.tolist()
     return np.asarray((xx + q * y * y - 2 * qy * y + qyy) + (yy + q * x * x - 2 * qx * x + qxx), np.float64)

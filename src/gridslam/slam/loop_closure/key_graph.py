@@ -108,9 +108,9 @@ class KeyGraph:
     _arrivals: list[int] = field(init=False, default_factory=list, metadata=NOT_SAVED)
     # (9,) each, what those ways change of the drift: before the first arrival, from each one to the next
     _gains: list[FloatArray] = field(init=False, default_factory=lambda: [np.zeros(9)], metadata=NOT_SAVED)
-    # determined constraints, by which ways lead, and (L, 9) float64, their moments
+    # determined constraints, by which ways lead, and (L, 11) float64, their key scans and moments
     _links: list[Constraint] = field(init=False, default_factory=list, metadata=NOT_SAVED)
-    _link_moments: bytearray = field(init=False, default_factory=bytearray, metadata=NOT_SAVED)
+    _link_rows: bytearray = field(init=False, default_factory=bytearray, metadata=NOT_SAVED)
 
     def __post_init__(self) -> None:
         """Derive the moments."""
@@ -194,7 +194,7 @@ class KeyGraph:
     def correct(self, poses: FloatArray) -> None:
         """Set all poses (T, 3)."""
         self.poses = list(poses)
-        for derived in (self._sums, self._links, self._link_moments, self._arrivals):
+        for derived in (self._sums, self._links, self._link_rows, self._arrivals):
             derived.clear()
         del self._gains[1:]
         self._derive()
@@ -222,10 +222,9 @@ class KeyGraph:
         They lead along the increments and by determined constraints. Covariances are in the map frame, and those of
         the drift model's bounds.
         """
-        sums = _rows(self._sums, _COLUMNS)[:, 2:11]
-        ends, moments = follow_certain_ways(
-            key, self.poses[key], anchors, self.tracked, sums, self._links, _rows(self._link_moments, 9)
-        )
+        sums, of_links = _rows(self._sums, _COLUMNS)[:, 2:11], _rows(self._link_rows, 11)
+        links = self._links, of_links[:, :2].astype(np.int64), of_links[:, 2:]
+        ends, moments = follow_certain_ways(key, self.poses[key], anchors, self.tracked, sums, *links)
         poses = between(np.array([self.tracked[anchor] for anchor in anchors.tolist()]), ends)
         return poses, propagate_covariances(self.poses[key], moments)
 
@@ -338,7 +337,7 @@ class KeyGraph:
         covariances = np.asarray(np.linalg.inv(np.array([c.information for c in determined])), np.float64)
         of_links = compute_moments(np.array([self.poses[c.to] for c in determined]), covariances)
         self._links += determined
-        self._link_moments += of_links.tobytes()
+        self._link_rows += np.column_stack([key_scan_pairs(determined), of_links]).tobytes()
         for constraint, moments in zip(determined, of_links, strict=True):
             self._shorten_ways(constraint, moments)
 

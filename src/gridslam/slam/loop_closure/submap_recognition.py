@@ -160,9 +160,8 @@ class SubmapRecognition:
         """Expect older submaps that may show the same place, and count those that the bound of the drift leaves out."""
         if not newer:
             return [], 0
-        anchors = pairs.anchors[: newer + 1]
-        key = int(anchors[-1])
-        anchors = anchors[:-1]
+        anchors = pairs.anchors[:newer]
+        key = pairs.submaps[newer].anchor
         way = graph.driven_m()
         labels = graph.label_rigid_components()
         radii = np.array([submap.radius_m for submap in pairs.submaps[: newer + 1]])
