@@ -144,6 +144,23 @@ def test_a_way_by_a_constraint_leads_where_it_was_measured():
     np.testing.assert_allclose(graph.locate(5, np.array([85]))[0][0], inverse(seen), atol=1e-9)
 
 
+@pytest.mark.parametrize("better", [0, 1])
+@pytest.mark.parametrize("to", [6, 35])
+def test_of_several_constraints_between_two_key_scans_a_way_comes_by_the_most_certain_one(better, to):
+    """Beside the increment that joins them, too, and in either direction."""
+    graph = chain(40)
+    ties = []
+    for k in range(2):
+        information = np.diag([1e8, 1e8, 1e14]) if k == better else np.diag([1e7, 1e7, 1e14])
+        ties.append(constraint(graph, 5, to, off=(0.1 * (1 + k), 0.0, 0.0))._replace(information=information))
+    graph.add(ties[0])
+    graph.add(ties[1]._replace(from_=to, to=5, measurement=inverse(ties[1].measurement)))
+    (found,), covariances = graph.locate(to, np.array([5]))
+    np.testing.assert_allclose(found, ties[better].measurement, atol=1e-9)
+    np.testing.assert_allclose(np.trace(covariances[0]), 2e-8, rtol=1e-3)
+    np.testing.assert_allclose(graph.locate(5, np.array([to]))[0][0], inverse(found), atol=1e-9)
+
+
 def bent(graph, seed=3):
     """Other poses of the key scans: another frame, and a bend in it."""
     poses = compose(np.array([500.0, 400.0, -0.2]), np.array(graph.poses))
