@@ -68,7 +68,7 @@ def test_stamps_that_go_back_leave_no_hole(jitter, start_s, duration_s):
     try:
         got = places(Listed(stamps.tolist()), start_s=start_s, duration_s=duration_s)
     except InputError:
-        assert start_s > 37 or duration_s < 2
+        assert start_s > 37 or duration_s < 2.8  # a scan period, and what jitter moves both its ends by
         return
     assert got == list(range(got[0], got[-1] + 1))
     assert abs(got[0] - start_s) <= 2  # a scan period, and what jitter moves

@@ -202,8 +202,8 @@ class GridFastSlamState(OwnedState):
         self._covariance = estimate.covariance
         self.drift_covariance = estimate.drift_covariance
 
-    def drift_on(self) -> None:
-        """Add the drift since the key scan before; loop closure does without, as it may know of a more certain way."""
+    def add_drift(self) -> None:
+        """Add what the drift grew by at this key scan; where loops are closed, they tell the most certain way instead."""
         self.drift = self.drift + compute_moments(self.reported.pose[None], self.drift_covariance[None])[0]
 
     def resample(self, parents: IntArray) -> None:

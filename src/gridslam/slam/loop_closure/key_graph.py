@@ -41,7 +41,7 @@ _MATCH_RATIO = 1 / 6
 for a beam over that of `PlaceMatching`."""
 
 _COLUMNS = 20
-"""Columns of the sums over key scans: metres driven, as tracked; gaps in the laser data; nine moments of the variances;
+"""Columns of the running sums: metres driven, as tracked; gaps in the laser data; nine moments of the variances;
 nine moments of the drift from key scan 0, as tracked."""
 
 
@@ -102,7 +102,7 @@ class KeyGraph:
     drift_covariances: Annotated[list[Annotated[FloatArray, 3, 3]], "T"] = field(default_factory=list)
     constraints: list[Constraint] = field(default_factory=list)
     frozen: Annotated[int, Limits(0, "T")] = 0
-    # (T, 20) float64, sums up to each key scan
+    # (T, 20) float64, running sums up to each key scan
     _sums: bytearray = field(init=False, default_factory=bytearray, metadata=NOT_SAVED)
     # key scans to which the most certain known way comes by a constraint
     _arrivals: list[int] = field(init=False, default_factory=list, metadata=NOT_SAVED)
@@ -223,8 +223,16 @@ class KeyGraph:
         the drift model's bounds.
         """
         sums, of_links = _rows(self._sums, _COLUMNS)[:, 2:11], _rows(self._link_rows, 11)
-        links = self._links, of_links[:, :2].astype(np.int64), of_links[:, 2:]
-        ends, moments = follow_certain_ways(key, self.poses[key], anchors, self.tracked, sums, *links)
+        ends, moments = follow_certain_ways(
+            key,
+            self.poses[key],
+            anchors,
+            self.tracked,
+            sums,
+            self._links,
+            of_links[:, :2].astype(np.int64),
+            of_links[:, 2:],
+        )
         poses = between(np.array([self.tracked[anchor] for anchor in anchors.tolist()]), ends)
         return poses, propagate_covariances(self.poses[key], moments)
 
