@@ -476,7 +476,7 @@ class LaserScan:
         """
         geometry = self.geometry
         usable = ((self.status == _HIT) & (self.ranges >= min_m) & (self.ranges < max_m)).nonzero()[0]
-        ends = geometry.directions[usable] * self.ranges[usable, None] + geometry.origin
+        ends = geometry.directions.take(usable, axis=0) * self.ranges.take(usable)[:, None] + geometry.origin
         if len(usable) > thinning.dense_beams:
             taken = thinning(self.ranges[usable], geometry.widths[usable])
             if taken is not None:
