@@ -203,7 +203,7 @@ class GridFastSlamState(OwnedState):
         self.drift_covariance = estimate.drift_covariance
 
     def add_drift(self) -> None:
-        """Add what the drift grew by at this key scan; loop closure computes it along the most certain way instead."""
+        """Add the growth of the drift at this key scan; loop closure computes it along the most certain way instead."""
         self.drift = self.drift + compute_moments(self.reported.pose[None], self.drift_covariance[None])[0]
 
     def resample(self, parents: IntArray) -> None:
