@@ -102,6 +102,15 @@ def predict_by_odometry(
     return Prediction(pose, True, seconds, moved_m, turned_rad, sigma_m, sigma_rad, beam_sigma_m, reading)
 
 
+def unmatched_variances(state: TrackerState, predicted: Prediction) -> tuple[float, float]:
+    """Return the variances (m^2, rad^2) of a predicted motion that no match has measured.
+
+    It is at least as uncertain as the odometry was found to be.
+    """
+    learned_m2, learned_rad2 = state.odometry_errors.variances_of(predicted.moved_m, predicted.turned_rad)
+    return max(predicted.sigma_m**2, learned_m2), max(predicted.sigma_rad**2, learned_rad2)
+
+
 @final
 @parameters(frozen=True)
 class ConstantVelocity:

@@ -13,7 +13,7 @@ from gridslam.matching.branch_and_bound import BranchAndBound, Pyramid
 from gridslam.matching.gauss_newton import NO_INFORMATION, GaussNewton, known_inlier_ratio
 from gridslam.parameters import bounded, parameters
 from gridslam.tracking.odometry_calibration import MIN_SEGMENTS
-from gridslam.tracking.prediction import MAX_INTERVAL_S, PoseEstimate, Prediction
+from gridslam.tracking.prediction import MAX_INTERVAL_S, PoseEstimate, Prediction, unmatched_variances
 from gridslam.tracking.state import Control, TrackerState, is_within
 from gridslam.types import BeamEnds, FloatArray
 
@@ -115,9 +115,9 @@ class OdometrySearch:
         predicted = found.prediction
         if not self.is_far_from_last(state, predicted):
             return Control(found.pose)
-        variances = predicted.sigma_m**2, predicted.sigma_rad**2
         if found.lost:
-            return Control(predicted.pose, variances)
+            return Control(predicted.pose, unmatched_variances(state, predicted))
+        variances = predicted.sigma_m**2, predicted.sigma_rad**2
         follows = is_within(found.pose, predicted.pose, _BASIN_M, _BASIN_RAD)
         return Control(predicted.pose if follows else found.pose, common_variances=variances)
 

@@ -36,6 +36,7 @@ from gridslam.tracking.prediction import (
     PoseEstimate,
     Prediction,
     predict_by_odometry,
+    unmatched_variances,
 )
 from gridslam.tracking.search import OdometrySearch, calibrated, local_pyramid
 from gridslam.tracking.state import (
@@ -356,17 +357,14 @@ class Tracker:
         return PoseEstimate(pose, predicted, True, False, match.score / count, determined, direction)
 
     def _advance(self, state: TrackerState, found: PoseEstimate) -> None:
-        """Move on; where nothing is known of the motion, the robot is thought to come to rest.
-
-        Motion that no match has measured is at least as uncertain as the odometry was found to be.
-        """
+        """Move on; where nothing is known of the motion, the robot is thought to come to rest."""
         predicted = found.prediction
         if found.lost or self.search.had_blind_gap(state, predicted):
-            learned_m2, learned_rad2 = state.odometry_errors.variances_of(predicted.moved_m, predicted.turned_rad)
+            position_m2, heading_rad2 = unmatched_variances(state, predicted)
             state.unmatched = replace(
                 state.unmatched,
-                position_m2=state.unmatched.position_m2 + max(predicted.sigma_m**2, learned_m2),
-                heading_rad2=state.unmatched.heading_rad2 + max(predicted.sigma_rad**2, learned_rad2),
+                position_m2=state.unmatched.position_m2 + position_m2,
+                heading_rad2=state.unmatched.heading_rad2 + heading_rad2,
             )
         self._accumulate_open_variance(state, found)
         increment = between(state.pose, found.pose)

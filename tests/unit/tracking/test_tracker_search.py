@@ -238,9 +238,10 @@ def test_motion_that_no_match_has_measured_is_as_uncertain_as_the_odometry_was_f
     log, known = halls
     state = known.snapshot()
     state.odometry_errors.variances = np.array([9.0, 0.5])
-    step(Tracker(), state, *log.measurements[85])
+    told = step(Tracker(), state, *log.measurements[85])
     assert state.unmatched.position_m2 == 9.0
     assert state.unmatched.heading_rad2 == 0.5
+    assert told.control.variances == (9.0, 0.5)  # by which particles are drawn and searched for
 
 
 def test_a_blind_gap_makes_doubt_by_what_the_odometry_may_err(halls):
