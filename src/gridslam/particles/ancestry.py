@@ -108,7 +108,8 @@ class Ancestry:
                 self._leaves = self._stretches.pop().parents[self._leaves]
         else:
             del self._trunk[-self._width :]
-        return np.array([self.trajectory(particle)[-1] for particle in range(len(self))])
+        newest = self._poses_of(self._stretches[-1])[-1] if self._stretches else self._trunk_poses[-1:]
+        return newest[self._leaves]
 
     def trajectory(self, particle: int) -> FloatArray:
         """Return poses (T, 3) of one particle at steps 0 .. T - 1, along its own past.

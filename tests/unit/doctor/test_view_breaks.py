@@ -110,6 +110,25 @@ def test_scans_compared_in_blocks_make_the_same_drives_as_one_by_one():
     assert len(drives) == 2
 
 
+def test_the_scan_of_another_laser_does_not_stand_for_the_one_before():
+    """The first scan after the robot was carried is of a second laser, and the next one resembles it."""
+    measurements = carried()
+    begin = LOST.start
+    measurements[begin] = measurements[begin]._replace(scan=replace(measurements[begin].scan, sensor="rear"))
+    assert find_similar([scan for _, scan in measurements])[begin + 1] is measurements[begin].scan
+    first, second = (len(list(drive)) for drive in split_where_carried(measurements))
+    assert (first, second) == (begin + 1, len(measurements) - begin - 1)
+
+
+def test_a_covered_laser_is_not_similar_though_few_of_its_ranges_change():
+    """It sees three of five beams, and then four of five of these are covered."""
+    geometry = ScanGeometry(np.linspace(-1.5, 1.5, 100))
+    ranges = np.where(np.arange(100) < 60, 5.0, np.inf)
+    seen = LaserScan.from_ranges(0, ranges, geometry)
+    covered = LaserScan.from_ranges(1, np.where(np.arange(100) < 48, 0.1, ranges), geometry)
+    assert find_similar([seen, seen, covered, covered]) == [None, seen, None, covered]
+
+
 def test_people_who_pass_are_no_break():
     rng = np.random.default_rng(2)
     lidar = LidarConfig(beams=180, range_max_m=12.0, rate_hz=10)

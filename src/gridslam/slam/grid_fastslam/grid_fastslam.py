@@ -230,7 +230,7 @@ class GridFastSlam:
         if self.loop_closure is not None and state.closure_state is not None:
             report = self.loop_closure(state, state.closure_state, report, beams, self.mapper, self.threads)
         elif report.skipped is None:
-            state.add_drift()
+            state.accumulate_drift()
         return state, report if report.skipped else self.reports.add_drift(state, report)
 
     def _skip(self, state: GridFastSlamState, pose: Pose, beams: Beams) -> SkipReason | None:

@@ -202,7 +202,7 @@ class GridFastSlamState(OwnedState):
         self._covariance = estimate.covariance
         self.drift_covariance = estimate.drift_covariance
 
-    def add_drift(self) -> None:
+    def accumulate_drift(self) -> None:
         """Add the growth of the drift at this key scan; loop closure computes it along the most certain way instead."""
         self.drift = self.drift + compute_moments(self.reported.pose[None], self.drift_covariance[None])[0]
 
