@@ -1,10 +1,15 @@
 """Logs of real robots: what is jitter, codes and habit there is no fault, and a laser that tilts is one."""
 
+from dataclasses import replace
+from itertools import islice
+
 import pytest
 
 from gridslam.doctor import Doctor, diagnose
 from gridslam.doctor.reader import reader_findings
+from gridslam.doctor.view_breaks import ViewBreaks
 from gridslam.io.log import open_log
+from gridslam.scan import ScanGeometry
 from support.implausible_ranges import VARIANTS, check, found_early, real_logs
 
 pytestmark = pytest.mark.filterwarnings("ignore:ranges have a median")
@@ -27,6 +32,16 @@ def test_stamps_beams_ranges_and_mountings_of_good_logs_are_no_fault(data_dir, n
     faults = [finding for finding in (*doctor.findings(), *reader_findings(log.statistics)) if finding.is_fault]
     assert faults == []
     assert found_early(log) == []
+
+
+def test_clutter_seen_by_few_beams_is_no_carried_robot(data_dir):
+    """Among beds two views in a row differ wholly, and most beams that would show the walls are left out."""
+    log, breaks = open_log(data_dir / "large/hospital.clf.bz2"), ViewBreaks()
+    for measurement in islice(log, 3700, 3950):
+        scan = measurement.scan
+        few = ScanGeometry(scan.geometry.bearings[::3], scan.geometry.base_from_laser)
+        thin = replace(scan, ranges=scan.ranges[::3], status=scan.status[::3], geometry=few)
+        assert not breaks.take(measurement._replace(scan=thin))
 
 
 def test_a_laser_that_tilts_is_told(data_dir):

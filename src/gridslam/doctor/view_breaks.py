@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections import defaultdict
+from collections import defaultdict, deque
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, field
 from itertools import chain, groupby, islice
@@ -30,6 +30,7 @@ _AT_ONCE_S = 0.35  # and half of that motion: nobody passes a door that fast, so
 _STILL_OTHER = 0.15  # and at once; on real logs and among people no alarm was false at 0.12 either
 _WATCHED = 10  # scans after a break: who passes closely is gone by then, or the view from before is back
 _FEWEST = 8  # of them that have enough in common with the view from before to differ from it
+_BEFORE = 8  # scans before the break: in clutter the last one alone may be the odd one
 _MOSTLY = 0.75  # of the scans after it that agree with the one before: a laser that fails sees another room in each
 _NEARBY = BranchAndBound(window_m=0.5, window_rad=1.6, min_score=0.1)  # where slipping wheels may have left the robot
 _SAME_PLACE = 0.88  # inlier ratio there: of 50 other places in simulated buildings none reached 0.86
@@ -41,19 +42,21 @@ _BLOCK = 64  # scans that are read, and compared, at once
 @final
 @dataclass(slots=True)
 class _Candidate:
-    """A scan whose view is another one than that of the scan before, and how those after it differ from both."""
+    """A scan whose view is another one than that of the scan before, and how those after it differ from both.
 
-    last: View
-    first: View
-    latest: View
+    `before` are the views until then, the last one last, `after` the others.
+    """
+
+    before: tuple[View, ...]
+    after: list[View]
     from_before: list[float]
     from_step_to_step: list[float] = field(default_factory=list)
 
     def watch(self, view: View) -> bool | None:
         """Return whether the robot was carried, by one scan more; None as long as that is open."""
-        self.from_before.append(view.differs_from(self.last))
-        self.from_step_to_step.append(view.differs_from(self.latest))
-        self.latest = view
+        self.from_before.append(view.differs_from(self.before[-1]))
+        self.from_step_to_step.append(view.differs_from(self.after[-1]))
+        self.after.append(view)
         if self.from_before[-1] < _STILL_OTHER:
             return False
         if len(self.from_before) < _WATCHED:
@@ -62,20 +65,25 @@ class _Candidate:
         is_one_place = np.count_nonzero(np.array(self.from_step_to_step) < SAME) >= _MOSTLY * len(
             self.from_step_to_step
         )
-        return bool(is_known and is_one_place) and not _fits_nearby(self.last, self.first)
+        return bool(is_known and is_one_place) and not self._was_seen() and not self._fits_nearby()
 
+    def _was_seen(self) -> bool:
+        """Return whether most of the views after the break agree with one of those before it."""
+        differences = np.array([[after.differs_from(before) for after in self.after] for before in self.before])
+        return bool((np.count_nonzero(differences < _STILL_OTHER, axis=1) > len(self.after) / 2).any())
 
-def _fits_nearby(before: View, after: View) -> bool:
-    """Return whether a scan fits the one before near where the odometry has it: wheels slip when a robot is pushed."""
-    known, beams = (view.scan.beams(*RANGES_M) for view in (before, after))
-    maps, row = OccupancyGridMapping().empty(1), np.zeros(1, np.int32)
-    maps.update(row, np.zeros((1, 3)), known)
-    place = _NEARBY.search(Pyramid.of(maps, 0), between(before.pose, after.pose), None, beams.ends)
-    if place is None:
-        return False
-    matcher = GaussNewton()
-    (pose,) = matcher(maps, row, place.pose[None], NO_PRIOR[None], beams).poses
-    return known_inlier_ratio(maps, row, pose, beams.ends, matcher.cauchy_m) >= _SAME_PLACE
+    def _fits_nearby(self) -> bool:
+        """Return whether the scan fits the one before near where the odometry has it: a pushed robot's wheels slip."""
+        before, after = self.before[-1], self.after[0]
+        known, beams = (view.scan.beams(*RANGES_M) for view in (before, after))
+        maps, row = OccupancyGridMapping().empty(1), np.zeros(1, np.int32)
+        maps.update(row, np.zeros((1, 3)), known)
+        place = _NEARBY.search(Pyramid.of(maps, 0), between(before.pose, after.pose), None, beams.ends)
+        if place is None:
+            return False
+        matcher = GaussNewton()
+        (pose,) = matcher(maps, row, place.pose[None], NO_PRIOR[None], beams).poses
+        return known_inlier_ratio(maps, row, pose, beams.ends, matcher.cauchy_m) >= _SAME_PLACE
 
 
 @final
@@ -93,7 +101,7 @@ class ViewBreaks:
 
     found: list[tuple[float, FloatArray]] = field(default_factory=list)
     _first: View | None = None
-    _last: View | None = None
+    _recent: deque[View] = field(default_factory=lambda: deque(maxlen=_BEFORE))
     _agreed: bool = False
     _candidate: _Candidate | None = None
 
@@ -109,29 +117,31 @@ class ViewBreaks:
         """
         odometry, scan = measurement
         if odometry is None:
-            self._last = self._candidate = None
+            self._recent.clear()
+            self._candidate = None
             return False
         view = View(odometry.pose, scan)
         self._first = self._first or view
-        last = None if self._last is not None and self._last.scan is similar else self._last
-        if last is not None and are_covered(last.measured, view.measured):
+        is_compared = bool(self._recent) and self._recent[-1].scan is not similar
+        if is_compared and are_covered(self._recent[-1].measured, view.measured):
             return False  # what is seen next is compared with what was seen before
-        self._last = view
+        before = tuple(self._recent) if is_compared else ()
+        self._recent.append(view)
         if self._candidate is None:
-            self._compare(last, view)
+            self._compare(before, view)
             return False
         carried = self._candidate.watch(view)
         if carried:
-            begin = self._candidate.first
+            begin = self._candidate.after[0]
             seconds = (begin.scan.stamp_ns - self._first.scan.stamp_ns) * 1e-9
             self.found.append((seconds, between(self._first.pose, begin.pose)))
         self._candidate = self._candidate if carried is None else None
         return bool(carried)
 
-    def _compare(self, last: View | None, view: View) -> None:
+    def _compare(self, before: tuple[View, ...], view: View) -> None:
         """Look whether the view is another one than that of the scan before, which agreed with those before it."""
         agreed, self._agreed = self._agreed, True
-        if last is None or not view.is_changed_from(last):
+        if not before or not view.is_changed_from(last := before[-1]):
             return
         x, y, turn = between(last.pose, view.pose).tolist()
         moved = max(math.hypot(x, y) / _SMALL_M, abs(turn) / _SMALL_RAD)
@@ -145,7 +155,7 @@ class ViewBreaks:
         difference = view.differs_from(last)
         self._agreed = difference < SAME
         if agreed and difference > (_STILL_OTHER if is_at_once else OTHER):
-            self._candidate = _Candidate(last, view, view, [difference])
+            self._candidate = _Candidate(before, [view], [difference])
 
     def findings(self, sensor: str) -> Iterator[Finding]:
         """Yield the finding on the laser of that name."""
