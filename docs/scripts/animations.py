@@ -102,7 +102,7 @@ def particles_at_a_loop() -> None:
         if resampled and not film.still:
             film.still = len(film.frames) - 1
 
-    run(log.measurements, GridFastSlam(particles=30), rng=np.random.default_rng(0), observers=[watch])
+    run(log.measurements, GridFastSlam(particles_min=30), rng=np.random.default_rng(0), observers=[watch])
     if not film.still:
         raise SystemExit("particles_at_a_loop: expected a resampling, got none; choose another drive")
     film.save()

@@ -70,7 +70,7 @@ def grid_fastslam() -> None:
 
     for _ in range(2):  # the first time to find out when the particles are farthest apart
         told.clear()
-        run(log.measurements, GridFastSlam(particles=30), rng=np.random.default_rng(0), observers=[watch])
+        run(log.measurements, GridFastSlam(particles_min=30), rng=np.random.default_rng(0), observers=[watch])
         before = int(np.argmax([spread for _, spread in told]))
         after = before + 8
         wanted = before, after

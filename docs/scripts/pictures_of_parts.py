@@ -124,7 +124,7 @@ def resampling() -> None:
             parents.append(report.parents)
 
     log = drive("loop")
-    run(log.measurements, GridFastSlam(particles=30), rng=np.random.default_rng(0), observers=[watch])
+    run(log.measurements, GridFastSlam(particles_min=30), rng=np.random.default_rng(0), observers=[watch])
     tree = Chart(
         "who descends from whom, 30 particles of a drive twice around a block", [0, -1, len(parents) - 1, 30], 780, 360
     )

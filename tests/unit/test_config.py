@@ -138,7 +138,7 @@ def test_change_of_kind_starts_from_that_kinds_defaults_whatever_the_order():
         ("motion=3", "motion: expected a table of parameters, got 3"),
         ("tracker.insrt_m=1", "tracker.insrt_m: no such parameter; did you mean tracker.insert_m"),
         ("slip_m=1", "slip_m: no such parameter; did you mean tracker.slip_m?"),
-        ("particels=1", "particels: no such parameter; did you mean particles?"),
+        ("particels=1", "particels: no such parameter; did you mean particles or particles_min?"),
         ("nothing.like.it=1", "nothing: no such parameter"),
         ("tracker.matcher.kind=GaussNewton", "tracker.matcher.kind: no such parameter"),
         (

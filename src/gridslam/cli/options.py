@@ -260,7 +260,7 @@ def evaluate_options(command: _Command) -> _Command:
 
 
 _MAP_OPTIONS = (
-    click.option("--particles", type=int, help="Number of particles.  [default: the preset's, 30]"),
+    click.option("--particles", type=int, help="Greatest number of particles.  [default: the preset's, 30]"),
     seed_option,
     threads_option,
     click.option("--preset", default="default", show_default=True, help="Preset: default or gmapping."),

@@ -27,6 +27,7 @@ def _gmapping() -> Configuration:
     """
     return Configuration(
         particles=30,
+        particles_min=100_000,
         range_min_m=0.0,
         range_max_m=80.0,
         tracker=OdometryTracker(),

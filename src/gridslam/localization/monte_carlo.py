@@ -406,7 +406,8 @@ class MonteCarloLocalization:
     def _should_resample(self, state: MonteCarloState, report: LocalizationReport) -> bool:
         if state.updates % self.configuration.resample_interval:
             return False
-        return report.injection_ratio > 0 or self.configuration.when_to_resample(report.n_eff, len(state.poses))
+        count = len(state.poses)
+        return report.injection_ratio > 0 or self.configuration.when_to_resample(report.n_eff, count, count)
 
     def _report_update(
         self,

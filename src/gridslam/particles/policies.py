@@ -13,8 +13,11 @@ from gridslam.parameters import bounded, parameters
 class ResamplingPolicy(Protocol):
     """Decides whether to resample now."""
 
-    def __call__(self, effective_sample_size: float, count: int) -> bool:
-        """Return whether `count` particles of this effective sample size, in [1, count], are to be resampled."""
+    def __call__(self, effective_sample_size: float, count: int, needed: int) -> bool:
+        """Return whether `count` particles of this effective sample size, in [1, count], are to be resampled.
+
+        The belief needs `needed` of them; where that is not known, it is `count`.
+        """
         ...
 
 
@@ -31,9 +34,10 @@ class UpdatePolicy(Protocol):
 @checked
 @parameters(frozen=True)
 class EffectiveSampleSizeBelow:
-    """Resample when the effective sample size falls below a part of the number of particles.
+    """Resample when the effective sample size falls below a part of the number of particles that the belief needs.
 
-    Every resampling costs diversity, and with equal weights it gains nothing (Grisetti et al., T-RO 2007).
+    Every resampling costs diversity, and with equal weights it gains nothing (Grisetti et al., T-RO 2007). Resample,
+    too, when those needed are fewer than that part of the particles.
 
     Parameters
     ----------
@@ -43,9 +47,9 @@ class EffectiveSampleSizeBelow:
 
     fraction: float = bounded(0.5, ge=1e-12, le=1)
 
-    def __call__(self, effective_sample_size: float, count: int) -> bool:
-        """Return whether the effective sample size is below `fraction` * `count`."""
-        return effective_sample_size < self.fraction * count
+    def __call__(self, effective_sample_size: float, count: int, needed: int) -> bool:
+        """Return whether the effective sample size is below `fraction` * `needed`, or `needed` so far below `count`."""
+        return effective_sample_size < self.fraction * needed or needed < self.fraction * count
 
 
 @final
@@ -54,7 +58,7 @@ class EffectiveSampleSizeBelow:
 class AlwaysResample:
     """Resample at every key scan, as in the textbook's particle filter (Probabilistic Robotics, Table 4.3)."""
 
-    def __call__(self, effective_sample_size: float, count: int) -> bool:
+    def __call__(self, effective_sample_size: float, count: int, needed: int) -> bool:
         """Return True."""
         return True
 
@@ -65,7 +69,7 @@ class AlwaysResample:
 class NeverResample:
     """Never resample: sequential importance sampling, whose weights degenerate; for study and for tests."""
 
-    def __call__(self, effective_sample_size: float, count: int) -> bool:
+    def __call__(self, effective_sample_size: float, count: int, needed: int) -> bool:
         """Return False."""
         return False
 

@@ -25,11 +25,14 @@ def test_resampling_policies() -> None:
         isinstance(policy, ResamplingPolicy)
         for policy in (AlwaysResample(), NeverResample(), EffectiveSampleSizeBelow())
     )
-    assert AlwaysResample()(30.0, 30)
-    assert not NeverResample()(1.0, 30)
-    assert EffectiveSampleSizeBelow()(14.9, 30)
-    assert not EffectiveSampleSizeBelow()(15.0, 30)
-    assert EffectiveSampleSizeBelow(fraction=0.6)(15.0, 30)
+    assert AlwaysResample()(30.0, 30, 30)
+    assert not NeverResample()(1.0, 30, 8)
+    assert EffectiveSampleSizeBelow()(14.9, 30, 30)
+    assert not EffectiveSampleSizeBelow()(15.0, 30, 30)
+    assert EffectiveSampleSizeBelow(fraction=0.6)(15.0, 30, 30)
+    assert EffectiveSampleSizeBelow()(14.9, 15, 30), "more are needed"
+    assert EffectiveSampleSizeBelow()(30.0, 30, 14), "fewer are needed"
+    assert not EffectiveSampleSizeBelow()(30.0, 30, 15)
 
 
 def test_update_policy() -> None:

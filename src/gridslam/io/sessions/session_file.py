@@ -34,7 +34,7 @@ from gridslam.slam.full_slam.full_trajectory import TrackedScans
 from gridslam.slam.grid_fastslam.state import GridFastSlamState
 from gridslam.slam.loop_closure.map_piece import MapPiece
 
-SESSION_SCHEMA = "gridslam.session/4"
+SESSION_SCHEMA = "gridslam.session/5"
 _WHAT = "a session of gridslam"
 
 

@@ -27,6 +27,7 @@ from gridslam.slam.grid_fastslam.map_limit import MapLimit
 from gridslam.slam.grid_fastslam.motion_of_particles import MotionOfAll, SearchingMotion
 from gridslam.slam.grid_fastslam.proposals import Proposal, ScanMatchedProposal
 from gridslam.slam.grid_fastslam.report_builder import ReportBuilder, compute_spread
+from gridslam.slam.grid_fastslam.sample_size import count_needed
 from gridslam.slam.grid_fastslam.smoothed_pose import SmoothedPose
 from gridslam.slam.grid_fastslam.state import GridFastSlamState
 from gridslam.slam.loop_closure.loop_closure import LoopClosure
@@ -84,7 +85,9 @@ class GridFastSlam:
     thinning : Thinning
         How many beams of a dense scan are used.
     particles : int, >= 1
-        Default number of particles of `init`.
+        As many as `init` begins with by default; the most.
+    particles_min : int, >= 1
+        The fewest, where all agree on where the robot is; from `particles` on their number never changes.
     threads : int
         Threads of the kernels; never changes a result.
 
@@ -108,6 +111,7 @@ class GridFastSlam:
     range_max_m: float = 30.0
     thinning: Thinning = Thinning()
     particles: int = 30
+    particles_min: int = 8
     threads: int = 1
 
     def init(
@@ -127,7 +131,7 @@ class GridFastSlam:
             One without a usable beam is fine.
         particles : int or (N, 3) float64, optional
             How many particles start at `pose` (3,), or where each starts (see `gridslam.particles.sample_gaussian`); as
-            many as the filter's own `particles` if not given.
+            many as the filter's own `particles` if not given. There are never more.
         pose : (3,) float64
             Where they start, map frame [x m, y m, theta rad].
 
@@ -157,6 +161,7 @@ class GridFastSlam:
             SmoothedPose(poses[0]),
             maps,
             Ancestry.start(poses),
+            len(poses),
         )
         if self.loop_closure is not None:
             state.closure_state = self.loop_closure.init(state, beams)
@@ -188,9 +193,9 @@ class GridFastSlam:
         estimate = self.reports.estimate(state, motion, moved, proposed.match, tracked.merged_beams)
         state.accept(estimate)
         n_eff = effective_sample_size(state.log_weights)  # N_eff
-        parents = None
-        if self.when_to_resample(n_eff, len(state.poses)):  # resample
-            parents = self.resampler(np.exp(state.log_weights), len(state.poses), rng)
+        parents, needed = None, self._count_needed(state)
+        if self.when_to_resample(n_eff, len(state.poses), needed):  # resample
+            parents = self.resampler(np.exp(state.log_weights), needed, rng)
             state.resample(parents)
         parents = self._bound(state, parents)
         report = self.reports.key_scan(state, scan, moved, estimate, n_eff, parents)  # report
@@ -199,6 +204,10 @@ class GridFastSlam:
     def _select(self, scan: LaserScan) -> Beams:
         """Select the beams that are used."""
         return scan.beams(self.range_min_m, self.range_max_m, self.thinning)
+
+    def _count_needed(self, state: GridFastSlamState) -> int:
+        """Return how many particles the belief needs, within the bounds."""
+        return min(max(count_needed(state.poses, state.best_pose), self.particles_min), state.particles_max)
 
     def _bound(self, state: GridFastSlamState, parents: IntArray | None) -> IntArray | None:
         """Keep the particles' maps within their limit; gives the parents of the particles that are left."""

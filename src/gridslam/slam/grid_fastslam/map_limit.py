@@ -30,8 +30,8 @@ class MapLimit:
     Parameters
     ----------
     tiles_per_particle : int
-        Limit of the tiles (2 KB each) of all maps, as a multiple of the number of particles. A third of it is always
-        left to the particles beside the best one's map. With 1700 and 30 particles that is 104 MB; 370 to 1430 are
+        Limit of the tiles (2 KB each) of all maps, as a multiple of the greatest number of particles. A third of it is
+        always left to the particles beside the best one's map. With 1700 and 30 particles that is 104 MB; 370 to 1430 are
         needed where robots drive inside. Take more where a scan alone covers as many: a full turn of 40 m, all of it
         open, in cells of 5 cm.
     """
@@ -42,7 +42,7 @@ class MapLimit:
         """Index of the particle that each continues, (N,); None if maps are within the limit, or not counted now."""
         count = len(state.poses)
         maps = state.maps
-        limit = self.tiles_per_particle * count
+        limit = self.tiles_per_particle * state.particles_max
         if state.ancestry.steps % _EVERY or maps.tiles_used <= limit:
             return None
         best = maps.tiles_of(np.array([state.best]))

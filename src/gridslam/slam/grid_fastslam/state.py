@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gridslam import serialization
-from gridslam.arguments import COUNT, Size, index_of
+from gridslam.arguments import COUNT, Limits, Size, index_of
 from gridslam.checked import checked
 from gridslam.errors import ArgumentError
 from gridslam.geometry.angles import wrap
@@ -28,7 +28,7 @@ from gridslam.tracking.state import UnmatchedMotion
 from gridslam.tracking.tracker import TrackerState
 from gridslam.types import FloatArray, IntArray, OwnedState, describe_pose
 
-STATE_SCHEMA = "gridslam.state/16"
+STATE_SCHEMA = "gridslam.state/17"
 
 _DECISIVE = 3.0
 """Nats, odds of 20 to 1, by which another particle is better before it is reported in place of the one that was: else
@@ -79,6 +79,8 @@ class GridFastSlamState(OwnedState):
         The best particle's pose at the last key scan, by its motion and by all its matches.
     log_ancestry : (N,) float64, nats
         Log weight of each particle accumulated along its ancestry, relative to the greatest.
+    particles_max : int
+        As many particles as the filter began with: there are never more.
     drift : (9,) float64
         Moments of what that pose has drifted by since the start (see `gridslam.slam.loop_closure.drift_model`).
     tracked_scans : int
@@ -111,6 +113,7 @@ class GridFastSlamState(OwnedState):
     reported: SmoothedPose
     maps: Annotated[TileMaps, "N"]
     ancestry: Annotated[Ancestry, "N", Size("T", "steps")]
+    particles_max: Annotated[int, Limits(1, 1 << 30)]
     drift: Annotated[FloatArray, 9] = field(default_factory=lambda: np.zeros(9))
     drift_covariance: Annotated[FloatArray, 3, 3] = field(default_factory=lambda: np.zeros((3, 3)))
     unmatched: UnmatchedMotion = field(default_factory=UnmatchedMotion)

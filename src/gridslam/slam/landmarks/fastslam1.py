@@ -96,7 +96,7 @@ class FastSlam1:
         """End a step: count the landmarks `columns` (N, K) that were observed, report, and resample."""
         self.landmarks.count(state, columns)  # the counters i_j, of landmarks that should have been seen, too
         report = state.report(columns)
-        if self.when_to_resample(report.n_eff, len(state)):
+        if self.when_to_resample(report.n_eff, len(state), len(state)):
             drawn = self.resampler(np.exp(state.log_weights), len(state), rng)
             report = replace(report, parents=state.resample(drawn))
         return state, report
