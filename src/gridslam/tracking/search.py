@@ -139,7 +139,9 @@ class OdometrySearch:
             place = window.search(pyramid, np.array(predicted.pose), np.diag(np.square(sigmas)), beams.ends)
             if place is None or place.runner_up_score > _MAX_AMBIGUITY * place.score:
                 return None
-            return _refine(state, as_pose(place.pose), predicted, beams, matcher)
+            found = _refine(state, as_pose(place.pose), predicted, beams, matcher)
+            reach_m, _, reach_rad = (window.gate_sigmas * sigmas).tolist()
+            return found if is_within(found.pose, predicted.pose, reach_m, reach_rad) else None
 
         is_blind = self.had_blind_gap(state, predicted)
         least = _LEAST_INLIER_RATIO if state.mean_step < self.sparse_step else 0.0

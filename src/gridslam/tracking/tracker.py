@@ -370,7 +370,8 @@ class Tracker:
         increment = between(state.pose, found.pose)
         moved, turned = motion_of(increment)
         if moved + turned > self.standstill_m + self.standstill_rad:
-            state.mean_step += NEWEST_WEIGHT * (min(moved + turned, self.search.blind_step) - state.mean_step)
+            longest = max(2 * state.mean_step, self.search.blind_step)  # beyond is a gap
+            state.mean_step += NEWEST_WEIGHT * (min(moved + turned, longest) - state.mean_step)
         blind = found.lost and not predicted.by_odometry
         if blind:
             vx, vy, omega = state.twist
