@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace
 from functools import cache
 from typing import final
@@ -133,15 +134,15 @@ class OdometrySearch:
         known = state.odometry_errors.segments >= MIN_SEGMENTS and self.is_sparse(state) and is_usual
         sigma_m = max(error_m, _MIN_SIGMA_M if known else predicted.sigma_m)
         sigma_rad = max(error_rad, predicted.sigma_rad)
+        reach_m = _GATES[-1][0] * sigma_m
 
         def find(window: BranchAndBound, sigmas: FloatArray) -> PoseEstimate | None:
-            """The only place where the prediction, of standard deviations (3,), has the scan."""
+            """The only place where the prediction, of standard deviations (3,), has the scan; none beyond all gates."""
             place = window.search(pyramid, np.array(predicted.pose), np.diag(np.square(sigmas)), beams.ends)
             if place is None or place.runner_up_score > _MAX_AMBIGUITY * place.score:
                 return None
             found = _refine(state, as_pose(place.pose), predicted, beams, matcher)
-            reach_m, _, reach_rad = (window.gate_sigmas * sigmas).tolist()
-            return found if is_within(found.pose, predicted.pose, reach_m, reach_rad) else None
+            return found if is_within(found.pose, predicted.pose, reach_m, math.pi) else None
 
         is_blind = self.had_blind_gap(state, predicted)
         least = _LEAST_INLIER_RATIO if state.mean_step < self.sparse_step else 0.0
@@ -153,7 +154,6 @@ class OdometrySearch:
                 return best
         if is_blind:
             return best
-        reach_m = _GATES[-1][0] * sigma_m
         reach = np.array([reach_m, reach_m, _GLOBAL_WINDOW.window_rad])
         found = find(_GLOBAL_WINDOW, reach / _GLOBAL_WINDOW.gate_sigmas)
         needed = max(_GLOBAL_INLIER_RATIO, best.inlier_ratio + _GLOBAL_INLIER_GAIN)

@@ -13,16 +13,21 @@ from gridslam.geometry.se2 import between, compose, rotate_covariances
 from gridslam.observers import TrajectoryRecorder
 from gridslam.pipeline import run
 from gridslam.sim import OdometryNoise, SimulatedLog
+from gridslam.matching.surfaces import Surfaces
 from gridslam.slam import GridFastSlam
+from gridslam.slam.full_slam import global_scan_refinement
 from gridslam.slam.full_slam.full_trajectory import full_trajectory
-from gridslam.slam.full_slam.global_scan_refinement import RefinementResult, refine_trajectory
+from gridslam.slam.full_slam.global_scan_refinement import RefinementResult, _Refinement, refine_trajectory
+from gridslam.slam.full_slam.surface_adjustment import LINE_REACH_M
 from gridslam.slam.full_slam.trajectory_score import score_trajectory
 from gridslam.slam.grid_fastslam.state import GridFastSlamState
+from gridslam.slam.loop_closure.constraints import Constraint, ConstraintSource
 from gridslam.slam.loop_closure.drift_model import DriftModel
 from gridslam.slam.loop_closure.key_graph import KEY_SCANS_PER_SUBMAP, KeyGraph
 from gridslam.slam.loop_closure.loop_closure import LoopClosure
 from gridslam.slam.loop_closure.scan_archive import ScanArchive
 from gridslam.slam.loop_closure.state import LoopClosureState
+from gridslam.slam.loop_closure.submap_pairs import SubmapPairs
 from gridslam.slam.loop_closure.submaps import build_map
 from gridslam.types import Trajectory
 from support import hall
@@ -68,6 +73,21 @@ def errors(run: Refined, poses: np.ndarray):
     return absolute_errors(Trajectory(truth.stamps_ns, poses), truth)
 
 
+def prepare_refinement(state: LoopClosureState) -> _Refinement:
+    """A refinement that has not begun."""
+    batch = state.scans.batch(state.scans.keys)
+    surfaces, fives = Surfaces.of(batch, LINE_REACH_M), Surfaces.of(batch)
+    return _Refinement(
+        state, surfaces, fives, SLAM.mapper, CLOSURE, lambda: None, [], 0, state.pairs.copy(), SubmapPairs()
+    )
+
+
+def absolute_errors_of_keys(run: Refined, poses: np.ndarray) -> float:
+    keys = run.state.closure_state.scans.keys
+    truth = Trajectory(run.log.truth.stamps_ns[keys], run.log.truth.poses[keys])
+    return absolute_errors(Trajectory(truth.stamps_ns, poses), truth).trans_rmse_m
+
+
 def test_final_refinement_is_no_worse_than_the_filter(halls, loop):
     """By a centimetre, a fifth of a cell, at most; where the filter is off by most of a cell, it is better.
 
@@ -95,6 +115,40 @@ def test_constraints_of_final_refinement_are_right(halls, loop):
         squares = np.einsum("ki,kij,kj->k", errors, graph.information[pairs], errors)
         assert squares.max() < 25, "none is off by more than it claims"
         assert np.quantile(np.abs(errors[:, 2]), 0.95) < 0.01
+
+
+def test_key_scans_stay_where_an_adjustment_tears_them_apart(loop, monkeypatch):
+    """As it does where a few beams show too little of the surfaces."""
+    rng = np.random.default_rng(0)
+
+    def tear(measured, surfaces, fives, components, threads=1):
+        poses = measured.poses.copy()
+        poses[len(poses) // 2 :, :2] += rng.normal(0, 1.0, 2)
+        return measured.with_poses(poses), 4e-4
+
+    monkeypatch.setattr(global_scan_refinement, "adjust_key_scans", tear)
+    trajectory = loop.state.ancestry.trajectory(loop.state.best)
+    drives = [loop.recorder.tracked_scans()]
+    refined = refine_trajectory(loop.state.closure_state.snapshot(), trajectory, drives, SLAM.mapper, CLOSURE)
+    assert absolute_errors_of_keys(loop, refined.best.graph.poses) < absolute_errors_of_keys(loop, trajectory) + 0.05
+
+
+def test_recognized_places_that_make_a_trajectory_worse_are_not_taken_over(loop, monkeypatch):
+    """Though the trajectory agrees with each of them."""
+    state = loop.state.closure_state.snapshot()
+    trajectory = loop.state.ancestry.trajectory(loop.state.best)
+    refinement = prepare_refinement(state)
+    alone = refinement._keep_trajectory("filter", trajectory, [])
+    before = refinement.adjust(alone)
+    place = Constraint(0, 20, between(trajectory[0], trajectory[20]), np.eye(3), ConstraintSource.RECOGNIZED, True)
+    for worse in (1.0, -1.0):
+        likelihood = before.score.log_likelihood - worse
+        monkeypatch.setattr(_Refinement, "_log_likelihood", lambda self, joined, value=likelihood: value)
+        taken = refinement._take_over(alone, [place])
+        assert taken.recognized_constraints == ([] if worse > 0 else [place])
+        assert state.graph.constraints == taken.constraints
+        assert (refinement.adjusted.get("filter") is before) is (worse > 0)
+        refinement.adjusted["filter"] = before
 
 
 def test_no_scan_is_moved_farther_from_the_key_scans_trajectory_than_allowed(halls):

@@ -10,6 +10,7 @@ from gridslam.mapping import OccupancyGridMapping
 from gridslam.sim import LidarConfig, OdometryNoise, RobotConfig, World, make_world, simulate
 from gridslam.sim.floor_plan import furniture, join, room
 from gridslam.slam import Tracker
+from gridslam.types import BeamStatus, Odometry
 
 PERFECT = OdometryNoise(1.0, 1.0, 0.0, 0.0, 0.0, 0.0, 0.0)
 BIASED = OdometryNoise(1.1, 0.85, 0.0, 0.0, 0.0, 0.0, 0.0)
@@ -183,3 +184,22 @@ def test_a_narrow_laser_that_turns_on_the_spot_does_not_slide_along_a_wall(seed)
     truth = log.truth.poses[:120]
     steps = between(between(truth[:-1], truth[1:]), between(told[:-1], told[1:]))
     assert np.hypot(*steps[:, :2].T).max() < 0.15
+
+
+def test_the_mean_step_follows_steps_of_any_length_and_no_gap(perfect):
+    """Scans of which no beam is usable: the robot is where the odometry has it."""
+    _, scan = perfect.measurements[0]
+    blind = replace(scan, status=np.full(len(scan), BeamStatus.INVALID, np.uint8))
+    steps = np.array([*[0.05] * 100, 10.0, *[0.05] * 100, *[2.0] * 100])
+    stamps_ns = scan.stamp_ns + np.cumsum(np.where(steps > 5, 20, 2)) * 10**9
+    tracker, state, means = Tracker(), None, []
+    for stamp_ns, x in zip(stamps_ns.tolist(), np.cumsum(steps), strict=True):
+        odometry, beams = Odometry.at(stamp_ns, [x, 0.0, 0.0]), replace(blind, stamp_ns=stamp_ns).beams(0.05, 30.0)
+        if state is None:
+            state = tracker.init(odometry, stamp_ns, beams, OccupancyGridMapping())
+        else:
+            tracker.step(state, odometry, stamp_ns, beams)
+        means.append(state.mean_step)
+    assert state.pose[0] == pytest.approx(np.sum(steps[1:]))
+    np.testing.assert_allclose(np.array(means)[[99, 200, 300]], [0.05, 0.05, 2.0], rtol=0.05)
+    assert means[100] < 0.1

@@ -173,6 +173,27 @@ def test_a_turn_that_was_not_counted_at_all_is_found_all_around_or_nothing_is_sa
     assert right > 0.66 * len(states)
 
 
+def test_a_place_that_a_match_reaches_from_within_the_gates_is_none_beyond_them(states, monkeypatch):
+    """The widest gate reaches 12 standard deviations, of 5 cm."""
+    refine, moved = search._refine, 0
+    for state, beams, pose in states:
+        predicted = predicted_off(pose, 0.05)
+        known = replace(state, odometry_errors=replace(state.odometry_errors, segments=50.0, variances=np.full(2, 1e-6)))
+        reach = SEARCH(known, predicted, beams, MATCHER)
+        for slid_m, is_lost in ((0.3, False), (0.7, True)):
+
+            def slide(state, place, *arguments, slid_m=slid_m):
+                found = refine(state, place, *arguments)
+                x, y, turn = predicted.pose
+                return found._replace(pose=(x + slid_m, y, turn))
+
+            monkeypatch.setattr(search, "_refine", slide)
+            assert reach.lost or SEARCH(known, predicted, beams, MATCHER).lost is is_lost
+            monkeypatch.setattr(search, "_refine", refine)
+        moved += not reach.lost
+    assert moved > 0.8 * len(states)
+
+
 @pytest.mark.parametrize(
     ("period_s", "stride", "way", "seconds", "far", "blind"),
     [

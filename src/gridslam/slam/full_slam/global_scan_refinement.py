@@ -19,7 +19,7 @@ from gridslam.slam.full_slam.full_trajectory import TrackedScans, full_trajector
 from gridslam.slam.full_slam.key_motion import weigh_odometry
 from gridslam.slam.full_slam.revisits_within_drift import propose_revisits
 from gridslam.slam.full_slam.surface_adjustment import LINE_REACH_M, adjust_key_scans, match_scans
-from gridslam.slam.full_slam.trajectory_score import TrajectoryScore, score_trajectory
+from gridslam.slam.full_slam.trajectory_score import NEUTRAL, TrajectoryScore, score_trajectory
 from gridslam.slam.loop_closure.constraints import Constraint, ConstraintSource
 from gridslam.slam.loop_closure.key_graph import KEY_SCANS_PER_SUBMAP, KeyGraph
 from gridslam.slam.loop_closure.loop_closure import SOLVER, LoopClosure
@@ -141,6 +141,8 @@ _MOST_SQUARED = 25.0
 _AGREE_M, _AGREE_RAD = 0.3, 0.05
 """Trajectories are the same if no key scan is farther from where the other has it; a pair that is farther from the
 answer is an outlier."""
+_TORN = 0.1
+"""Agreement that an adjustment costs where it has torn apart what belonged together."""
 _SAME_VISIT = 3 * KEY_SCANS_PER_SUBMAP
 """Key scans that are not farther apart belong to one visit."""
 _ROBUST = CauchyEstimator()
@@ -275,7 +277,7 @@ class _Refinement:
 
         More places are recognized as long as they are better than a trajectory that they change, or join components:
         one that is joined shows where others belong. A trajectory that is better than what changes it takes over the
-        places that agree with it, if most of them do; the others are rejected.
+        places that agree with it, if most of them do and it is not worse with them; the others are rejected.
         """
         recognized = [c for c in self.graph.constraints if c.source is ConstraintSource.RECOGNIZED]
         last = best = self._keep_trajectory("filter", trajectory, recognized)
@@ -297,9 +299,9 @@ class _Refinement:
                 best = found
             elif best is last and 2 * contradicted.sum() < len(recognized):
                 agreeing = [c for c, is_not in zip(recognized, contradicted, strict=True) if not is_not]
-                self.closure_state.rejected[RejectionReason.IMPLAUSIBLE] += len(recognized) - len(agreeing)
-                found = best = self._keep_trajectory(last.name, last.graph.poses, agreeing)
-                del self.adjusted[best.name]  # which was without these places
+                found = best = self._take_over(last, agreeing)
+                kept = len(best.recognized_constraints)
+                self.closure_state.rejected[RejectionReason.IMPLAUSIBLE] += len(recognized) - kept
             # by what is kept: a joining place that was rejected would be found and rejected again for ever
             is_joined = len(np.unique(self.graph.label_rigid_components())) < components
             joining += is_joined
@@ -315,7 +317,8 @@ class _Refinement:
         """Move the key scans of a candidate until their surfaces fit; the same again where that was done before.
 
         Where no constraint joins components, their surfaces are matched to each other in one trial and not in another;
-        the one with the better score is returned.
+        the one with the better score is returned. Key scans stay where they are if they agreed much better there: of a
+        few beams surfaces show too little.
         """
         if candidate.name not in self.adjusted:
             components = self.graph.label_rigid_components(candidate.constraints)
@@ -323,16 +326,26 @@ class _Refinement:
             found = [self._adjust(measured, candidate.graph.poses, np.zeros_like(components))]
             if components.any():
                 found.append(self._adjust(measured, candidate.graph.poses, components))
-            self.adjusted[candidate.name] = max(found, key=lambda adjusted: adjusted.score.log_likelihood)
+            best = max(found, key=lambda adjusted: adjusted.score.log_likelihood)
+            if best.score.agreement < NEUTRAL:
+                poses = candidate.graph.poses
+                score, maps = self._score(poses)
+                if score.agreement > best.score.agreement + _TORN:
+                    none = np.empty((0, 2), np.int64)
+                    best = Adjusted(measured.with_poses(poses), none, best.variance, score, maps)
+            self.adjusted[candidate.name] = best
         return self.adjusted[candidate.name]
 
     def _adjust(self, measured: PoseGraph, before: FloatArray, components: IntArray) -> Adjusted:
         """Move key scans from poses (T, 3); those of different components (T,) are not matched to each other."""
-        scans, threads = self.closure_state.scans, self.closure_state.threads
+        threads = self.closure_state.threads
         graph, variance = adjust_key_scans(measured, self.surfaces, self.fives, components, threads)
         graph = place_components(graph, before, components)
-        score, maps = score_trajectory(self.graph, scans, graph.poses, self.mapper, self.on_progress)
+        score, maps = self._score(graph.poses)
         return Adjusted(graph, graph.edges[len(measured.edges) :], variance, score, maps)
+
+    def _score(self, poses: FloatArray) -> tuple[TrajectoryScore, TileMaps]:
+        return score_trajectory(self.graph, self.closure_state.scans, poses, self.mapper, self.on_progress)
 
     def _log_likelihood(self, candidate: Candidate) -> float:
         return self.adjust(candidate).score.log_likelihood
@@ -399,6 +412,19 @@ class _Refinement:
         if not recognized:
             return None
         return self._optimize(name, solution.poses, [*recognized, *known])
+
+    def _take_over(self, candidate: Candidate, recognized: list[Constraint]) -> Candidate:
+        """Return a candidate with recognized places that agree with it; without, where it is worse with them.
+
+        Where its pieces share nothing, places that join some of them wrongly bend the others.
+        """
+        without = self.adjusted.pop(candidate.name)
+        joined = self._keep_trajectory(candidate.name, candidate.graph.poses, recognized)
+        if self._log_likelihood(joined) >= without.score.log_likelihood:
+            return joined
+        self.adjusted[candidate.name] = without
+        self.graph.constraints = candidate.constraints
+        return candidate
 
     def _return_within_drift(self, best: Candidate) -> Candidate | None:
         """Let a candidate return to where the last metres of its way fit; None if it is there already, or none fits.

@@ -54,7 +54,7 @@ SCALE_M = 0.1
 """Distance at which a beam agrees by half, that of the measurement model `CauchyEndPoint`."""
 _TEMPERING = 0.03
 """Share of a beam's evidence that is new, as in `CauchyEndPoint`."""
-_NEUTRAL = 0.7
+NEUTRAL = 0.7
 """Agreement that speaks neither for nor against a place: scans matched to a wrong place that looks alike reach 0.6,
 right ones 0.75 (furniture and people have moved) to 0.97."""
 _MOTION_SIGMA = 1.0
@@ -106,7 +106,7 @@ def score_trajectory(
 
 def log_likelihood(agreeing: float, beams: int) -> float:
     """Log likelihood (nats) of beams, given the sum of their agreement and their number."""
-    return _TEMPERING * (agreeing - _NEUTRAL * beams)
+    return _TEMPERING * (agreeing - NEUTRAL * beams)
 
 
 def weigh_same_side(maps: TileMaps, pose: FloatArray, beams: BeamEnds) -> NDArray[np.float32]:
