@@ -90,6 +90,7 @@ class Row(NamedTuple):
 
 def rows(log: Path) -> dict[str, Row]:
     """All rows, by name; `log` is the Intel Research Lab."""
+
     def share_of_one_thread(particles: int, *options: str) -> Callable[[Side], dict[str, float]]:
         def measure(side: Side) -> dict[str, float]:
             common = ["--no-loop-closure", *side.hold(particles), *options]

@@ -10,10 +10,10 @@ import pytest
 
 from gridslam.evaluation import absolute_errors
 from gridslam.geometry.se2 import between, compose, rotate_covariances
+from gridslam.matching.surfaces import Surfaces
 from gridslam.observers import TrajectoryRecorder
 from gridslam.pipeline import run
 from gridslam.sim import OdometryNoise, SimulatedLog
-from gridslam.matching.surfaces import Surfaces
 from gridslam.slam import GridFastSlam
 from gridslam.slam.full_slam import global_scan_refinement
 from gridslam.slam.full_slam.full_trajectory import full_trajectory

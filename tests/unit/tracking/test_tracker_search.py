@@ -178,14 +178,14 @@ def test_a_place_that_a_match_reaches_from_within_the_gates_is_none_beyond_them(
     refine, moved = search._refine, 0
     for state, beams, pose in states:
         predicted = predicted_off(pose, 0.05)
-        known = replace(state, odometry_errors=replace(state.odometry_errors, segments=50.0, variances=np.full(2, 1e-6)))
+        learned = replace(state.odometry_errors, segments=50.0, variances=np.full(2, 1e-6))
+        known = replace(state, odometry_errors=learned)
         reach = SEARCH(known, predicted, beams, MATCHER)
         for slid_m, is_lost in ((0.3, False), (0.7, True)):
 
-            def slide(state, place, *arguments, slid_m=slid_m):
-                found = refine(state, place, *arguments)
-                x, y, turn = predicted.pose
-                return found._replace(pose=(x + slid_m, y, turn))
+            def slide(*arguments, told=predicted.pose, slid_m=slid_m):
+                x, y, turn = told
+                return refine(*arguments)._replace(pose=(x + slid_m, y, turn))
 
             monkeypatch.setattr(search, "_refine", slide)
             assert reach.lost or SEARCH(known, predicted, beams, MATCHER).lost is is_lost

@@ -142,7 +142,7 @@ _AGREE_M, _AGREE_RAD = 0.3, 0.05
 """Trajectories are the same if no key scan is farther from where the other has it; a pair that is farther from the
 answer is an outlier."""
 _TORN = 0.1
-"""Agreement that an adjustment costs where it has torn apart what belonged together."""
+"""Loss of agreement that shows a failed adjustment: key scans that belong together were torn apart."""
 _SAME_VISIT = 3 * KEY_SCANS_PER_SUBMAP
 """Key scans that are not farther apart belong to one visit."""
 _ROBUST = CauchyEstimator()

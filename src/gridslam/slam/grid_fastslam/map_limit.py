@@ -31,9 +31,9 @@ class MapLimit:
     ----------
     tiles_per_particle : int
         Limit of the tiles (2 KB each) of all maps, as a multiple of the greatest number of particles. A third of it is
-        always left to the particles beside the best one's map. With 1700 and 30 particles that is 104 MB; 370 to 1430 are
-        needed where robots drive inside. Take more where a scan alone covers as many: a full turn of 40 m, all of it
-        open, in cells of 5 cm.
+        always left to the particles beside the best one's map. With 1700 and 30 particles that is 104 MB; 370 to 1430
+        are needed where robots drive inside. Take more where a scan alone covers as many: a full turn of 40 m, all of
+        it open, in cells of 5 cm.
     """
 
     tiles_per_particle: int = bounded(1700, ge=1, le=500_000_000)

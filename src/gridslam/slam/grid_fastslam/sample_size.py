@@ -12,7 +12,7 @@ from gridslam.types import FloatArray
 
 _BIN = np.array([0.5, 0.5, math.radians(10)])  # m, m, rad, as AMCL has them: so far apart are two hypotheses
 _ERROR = 0.2
-"""Greatest Kullback-Leibler divergence, with a probability of 99 %: asks for 17, 24 and 29 particles in 2, 3, 4 bins."""
+"""Greatest Kullback-Leibler divergence, with a probability of 99 %; 2, 3, 4 bins ask for 17, 24, 29 particles."""
 _Z = 2.33
 
 
