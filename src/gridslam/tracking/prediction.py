@@ -8,6 +8,7 @@ from typing import NamedTuple, final
 from gridslam.geometry.single_pose import UNKNOWN_POSE, Information, Pose, between, compose, exp, log, motion_of
 from gridslam.matching.branch_and_bound import BranchAndBound
 from gridslam.parameters import bounded, parameters
+from gridslam.tracking.odometry_calibration import MIN_SEGMENTS
 from gridslam.tracking.state import SensorTrack, TrackerState
 
 MAX_INTERVAL_S = 1.0
@@ -40,6 +41,9 @@ does not slip."""
 
 _CELL_SIGMA_M = 0.05
 """Standard deviation of a beam in a map of cells of 5 cm, where few of them determine a direction."""
+
+_RANDOM_WALK_M = 2.0
+"""Way beyond which errors of calibrated odometry do not add up, as its systematic ones are known."""
 
 NEWEST_WEIGHT = 0.05
 """Weight of the newest scan in a running mean."""
@@ -91,14 +95,18 @@ def predict_by_odometry(
 ) -> Prediction:
     """Predict the pose of a scan with a reading of the odometry from those of an earlier scan.
 
-    The standard deviations grow with the motion, from a tenth of a cell on.
+    The standard deviations grow with the motion, from a tenth of a cell on; with the root of a way beyond
+    `_RANDOM_WALK_M`, where the systematic errors of the odometry are known.
     """
     increment = state.odometry_errors.correct_increment(between(last_reading, reading))
     pose = compose(last, increment)
     moved_m, turned_rad = motion_of(increment)
     cell_m = state.maps.resolution_m
-    sigma_m = 0.1 * cell_m + 0.15 * moved_m + 0.5 * cell_m * turned_rad
-    sigma_rad = 0.003 + 0.05 * turned_rad + 0.04 * moved_m
+    way_m = moved_m
+    if state.odometry_errors.segments >= MIN_SEGMENTS:
+        way_m = min(moved_m, math.sqrt(_RANDOM_WALK_M * moved_m))
+    sigma_m = 0.1 * cell_m + 0.15 * way_m + 0.5 * cell_m * turned_rad
+    sigma_rad = 0.003 + 0.05 * turned_rad + 0.04 * way_m
     return Prediction(pose, True, seconds, moved_m, turned_rad, sigma_m, sigma_rad, beam_sigma_m, reading)
 
 

@@ -8,12 +8,13 @@ import pytest
 
 from gridslam.geometry.angles import wrap
 from gridslam.geometry.se2 import between, compose
+from gridslam.geometry.single_pose import as_pose
 from gridslam.mapping import OccupancyGridMapping
 from gridslam.matching import GaussNewton
 from gridslam.sim import LidarConfig, OdometryNoise, RobotConfig, make_world, simulate
 from gridslam.slam import Tracker
 from gridslam.tracking import search
-from gridslam.tracking.prediction import Prediction
+from gridslam.tracking.prediction import Prediction, predict_by_odometry
 from gridslam.tracking.search import OdometrySearch
 from support import hall
 
@@ -266,16 +267,32 @@ def test_motion_that_no_match_has_measured_is_as_uncertain_as_the_odometry_was_f
 
 
 def test_a_blind_gap_makes_doubt_by_what_the_odometry_may_err(halls):
-    """15 % of the way and more, whether or not the scan was found: it may have been found where it looks alike."""
+    """Whether or not the scan was found: it may have been found where it looks alike.
+
+    15 % of the way and more; beyond two metres errors of calibrated odometry are those of a random walk.
+    """
     doubts = []
     for scans in (5, 9, 13, 25, 33, 45):
         _, ahead, state, _ = after_a_gap(halls, scans, Tracker())
         way = math.hypot(*(ahead - halls[1].matched_pose)[:2])
-        assert 0.15 * way < math.sqrt(state.unmatched.position_m2)
+        assert 0.15 * min(way, math.sqrt(2 * way)) < math.sqrt(state.unmatched.position_m2)
         assert state.unmatched.heading_rad2 > 0
         doubts.append(state.unmatched.position_m2)
     assert halls[1].unmatched.position_m2 == 0
     assert doubts[:3] == sorted(doubts[:3])
+
+
+def test_errors_of_calibrated_odometry_are_a_random_walk_beyond_two_metres(halls):
+    """Those of odometry that is not may be systematic, and add up."""
+    for segments, far in ((50.0, 2.0), (5.0, 4.0)):
+        state = replace(halls[1], odometry_errors=replace(halls[1].odometry_errors, segments=segments))
+        sigmas = []
+        for way in (0.0, 2.0, 8.0):
+            reading = compose(state.odometry, np.array([way, 0.0, 0.0]))
+            told = predict_by_odometry(state, state.pose, state.odometry, as_pose(reading), 1.0, 0.0016)
+            sigmas.append([told.sigma_m, told.sigma_rad])
+        grown = np.diff(np.array(sigmas), axis=0).cumsum(axis=0)
+        np.testing.assert_allclose(grown[1] / grown[0], far, rtol=0.05)
 
 
 def test_after_a_blind_gap_a_place_beyond_twice_the_odometrys_error_is_not_believed(states):
