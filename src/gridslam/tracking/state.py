@@ -238,6 +238,11 @@ class Control(NamedTuple):
     variances: tuple[float, float] | None = None
     common_variances: tuple[float, float] | None = None
 
+    @property
+    def is_certain(self) -> bool:
+        """Whether the motion model's noise is all that the pose errs by."""
+        return self.variances is None and self.common_variances is None
+
 
 @final
 class TrackedScan(NamedTuple):

@@ -43,6 +43,13 @@ def test_where_all_agree_few_are_left_and_a_fixed_number_stays(drive, play):
     assert set(counts(replace(slam, particles_min=30), drive.measurements[:80], play, 30)) == {30}
 
 
+def test_where_scans_are_far_apart_none_is_left_out(drive, play):
+    """Their next draw must hold the place; at first, and with a scan every 0.2 s, few are enough."""
+    numbers = counts(GridFastSlam(), [*drive.measurements[:20], *drive.measurements[20::6]], play, 30)
+    assert min(numbers) == 8
+    assert set(numbers[-5:]) == {30}
+
+
 @pytest.mark.parametrize("most", [20, 30])
 def test_where_they_spread_they_grow_in_number_to_as_many_as_began(drive, play, most):
     """Particles that nothing matches spread as the motion does."""

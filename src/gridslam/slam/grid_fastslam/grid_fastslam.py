@@ -193,7 +193,7 @@ class GridFastSlam:
         estimate = self.reports.estimate(state, motion, moved, proposed.match, tracked.merged_beams)
         state.accept(estimate)
         n_eff = effective_sample_size(state.log_weights)  # N_eff
-        parents, needed = None, self._count_needed(state)
+        parents, needed = None, self._count_needed(state, tracked)
         if self.when_to_resample(n_eff, len(state.poses), needed):  # resample
             parents = self.resampler(np.exp(state.log_weights), needed, rng)
             state.resample(parents)
@@ -205,8 +205,10 @@ class GridFastSlam:
         """Select the beams that are used."""
         return scan.beams(self.range_min_m, self.range_max_m, self.thinning)
 
-    def _count_needed(self, state: GridFastSlamState) -> int:
-        """Return how many particles the belief needs, within the bounds."""
+    def _count_needed(self, state: GridFastSlamState, tracked: TrackedScan) -> int:
+        """Return how many particles the belief needs, within the bounds; all where the tracker left the motion open."""
+        if not tracked.control.is_certain:
+            return state.particles_max
         return min(max(count_needed(state.poses, state.best_pose), self.particles_min), state.particles_max)
 
     def _bound(self, state: GridFastSlamState, parents: IntArray | None) -> IntArray | None:
