@@ -112,9 +112,9 @@ class Configuration:
     particles : int, [1, 100000]
         Greatest number of particles; 30 hold the loops of an office floor, and each costs 50 to 100 us a key scan.
     particles_min : int, [1, 100000]
-        Least number of particles, where all agree on where the robot is within half a metre and ten degrees; of
-        `particles` on, their number is always that. With 8 the real logs come out as with 30 all the time. Where scans
-        are far apart there are always `particles`.
+        Least number of particles, where all agree on where the robot is within half a metre and ten degrees; if it is
+        not below `particles`, their number is fixed. With 8 dense real logs come out as with 30 all the time; where
+        scans are far apart, there are always `particles`.
     range_min_m, range_max_m : float, m
         Beams outside are not used (see `GridFastSlam`). At most 21,000 cells, 1050 m in cells of 5 cm; but a beam frees
         1664 cells at most, 83 m, so longer ones call for larger cells.

@@ -327,13 +327,7 @@ class _Refinement:
             if components.any():
                 found.append(self._adjust(measured, candidate.graph.poses, components))
             best = max(found, key=lambda adjusted: adjusted.score.log_likelihood)
-            if best.score.agreement < NEUTRAL:
-                poses = candidate.graph.poses
-                score, maps = self._score(poses)
-                if score.agreement > best.score.agreement + _TORN:
-                    none = np.empty((0, 2), np.int64)
-                    best = Adjusted(measured.with_poses(poses), none, best.variance, score, maps)
-            self.adjusted[candidate.name] = best
+            self.adjusted[candidate.name] = self._undo_if_torn(best, measured.with_poses(candidate.graph.poses))
         return self.adjusted[candidate.name]
 
     def _adjust(self, measured: PoseGraph, before: FloatArray, components: IntArray) -> Adjusted:
@@ -343,6 +337,15 @@ class _Refinement:
         graph = place_components(graph, before, components)
         score, maps = self._score(graph.poses)
         return Adjusted(graph, graph.edges[len(measured.edges) :], variance, score, maps)
+
+    def _undo_if_torn(self, adjusted: Adjusted, before: PoseGraph) -> Adjusted:
+        """Return the graph from before, without pairs, if its key scans agreed much better; else the adjusted one."""
+        if adjusted.score.agreement >= NEUTRAL:
+            return adjusted
+        score, maps = self._score(before.poses)
+        if score.agreement <= adjusted.score.agreement + _TORN:
+            return adjusted
+        return Adjusted(before, np.empty((0, 2), np.int64), adjusted.variance, score, maps)
 
     def _score(self, poses: FloatArray) -> tuple[TrajectoryScore, TileMaps]:
         return score_trajectory(self.graph, self.closure_state.scans, poses, self.mapper, self.on_progress)

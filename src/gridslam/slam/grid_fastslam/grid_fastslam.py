@@ -85,9 +85,10 @@ class GridFastSlam:
     thinning : Thinning
         How many beams of a dense scan are used.
     particles : int, >= 1
-        As many as `init` begins with by default; the most.
+        Default number of particles of `init`.
     particles_min : int, >= 1
-        The fewest, where all agree on where the robot is; from `particles` on their number never changes.
+        Least number of particles, where all agree on where the robot is; if `init` begins with no more than that, their
+        number is fixed.
     threads : int
         Threads of the kernels; never changes a result.
 
@@ -131,7 +132,7 @@ class GridFastSlam:
             One without a usable beam is fine.
         particles : int or (N, 3) float64, optional
             How many particles start at `pose` (3,), or where each starts (see `gridslam.particles.sample_gaussian`); as
-            many as the filter's own `particles` if not given. There are never more.
+            many as the filter's own `particles` if not given. That is their greatest number.
         pose : (3,) float64
             Where they start, map frame [x m, y m, theta rad].
 

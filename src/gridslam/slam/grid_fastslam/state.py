@@ -80,7 +80,7 @@ class GridFastSlamState(OwnedState):
     log_ancestry : (N,) float64, nats
         Log weight of each particle accumulated along its ancestry, relative to the greatest.
     particles_max : int
-        As many particles as the filter began with: there are never more.
+        Greatest number of particles: that at the start.
     drift : (9,) float64
         Moments of what that pose has drifted by since the start (see `gridslam.slam.loop_closure.drift_model`).
     tracked_scans : int
