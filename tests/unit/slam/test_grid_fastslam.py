@@ -247,11 +247,14 @@ def test_those_of_most_weight_stay(drive, play):
     while state.ancestry.steps % 16:  # tiles are counted at each sixteenth key scan only
         state.ancestry.extend(state.poses)
     count, weights = len(state.poses), state.log_weights
-    parents = MapLimit(tiles_per_particle=differing(state) // count - 1)(state)
+    limit = MapLimit(tiles_per_particle=differing(state) // count - 1)
+    parents = limit(state)
     stay = np.unique(parents)
     assert len(parents) == count
     assert len(stay) < count
     assert weights[stay].min() >= np.delete(weights, stay).max()
+    state.particles_max = 2 * count  # what those that the belief does not need now leave is the others'
+    assert limit(state) is None
 
 
 class _NotingProposal:

@@ -6,6 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from gridslam.config import build, preset
 from gridslam.models import DiffusionMotion
 from gridslam.particles import kld_bound
 from gridslam.slam import GridFastSlam, MotionModelProposal, OdometryTracker
@@ -41,6 +42,11 @@ def test_where_all_agree_few_are_left_and_a_fixed_number_stays(drive, play):
     assert set(counts(slam, drive.measurements[:80], play, 30)[2:]) == {8}
     assert set(counts(slam, drive.measurements[:80], play, 5)) == {5}, "fewer than the least: all stay"
     assert set(counts(replace(slam, particles_min=30), drive.measurements[:80], play, 30)) == {30}
+
+
+def test_gmapping_has_a_fixed_number(drive, play):
+    """Of 200, which its noisy motion alone would not keep."""
+    assert set(counts(build(preset("gmapping")), drive.measurements[:60], play, 200)) == {200}
 
 
 def test_where_scans_are_far_apart_none_is_left_out(drive, play):
