@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from pathlib import Path
 
 __all__ = [
@@ -19,16 +18,9 @@ __all__ = [
 class GridslamError(Exception):
     """Base of all errors raised by gridslam."""
 
-    def __reduce__(self) -> tuple[Callable[..., GridslamError], tuple[object, ...]]:
-        """Return a function and its arguments that rebuild the error in another process, message and attributes."""
-        return _rebuild, (type(self), self.args, self.__dict__)
-
-
-def _rebuild(kind: type[GridslamError], arguments: tuple[object, ...], attributes: dict[str, object]) -> GridslamError:
-    """Rebuild an error with its message and its attributes."""
-    error = kind.__new__(kind, *arguments)
-    error.__dict__.update(attributes)
-    return error
+    def __reduce__(self) -> tuple[object, ...]:
+        """Return how pickle rebuilds the error: from message and attributes, as `__init__` takes other arguments."""
+        return type(self).__new__, (type(self), *self.args), self.__dict__
 
 
 class ArgumentError(GridslamError, ValueError):
