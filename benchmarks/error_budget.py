@@ -117,7 +117,7 @@ def judge(world: str, seed: int, *, with_best: bool = True) -> dict[str, list[fl
     """ATE (m, degrees) and RPE (m, degrees) of each stage of one drive; the best particle's takes a run of its own."""
     log = simulated_drive(world, seed)
     reports, full = map_drive(log.measurements, Configuration(), 0)
-    with patch("gridslam.tracking.tracker.match_to_surfaces", lambda recent, own, found: found.pose):
+    with patch("gridslam.tracking.tracker.match_to_surfaces", lambda recent, ends, found: found.pose):
         cells = track(log.measurements, Tracker())
     stages = {
         "odometry": np.array([odometry.pose for odometry, _ in log.measurements if odometry is not None]),

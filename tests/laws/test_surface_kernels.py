@@ -73,10 +73,10 @@ def test_twins_fit_lines_to_beams_in_any_order(seed, reach_m):
 def test_twins_match_to_surfaces(seed, least_information):
     rng = np.random.default_rng(seed)
     surfaces = seen_from(POSES[1:], 0.01)
-    own = seen_from(POSES[:1], 0.01)
+    ends = room_from(POSES[0], 0.01)
     guess = tuple(rng.normal(0, 0.02, 3).tolist())
     prior = np.array([2500.0, 2000.0, 1e4])
-    arguments = (own.points, own.normals, guess, prior, np.array([0.15, 0.08]), 0.02, least_information)
+    arguments = (ends, guess, prior, np.array([0.15, 0.08]), 0.02, least_information)
     found, expected = (kernels.match_to_surfaces(*surfaces, POSES[1:], *arguments) for kernels in (compiled, reference))
     assert found[1] == expected[1] > 100
     np.testing.assert_allclose(found[0], expected[0], rtol=0, atol=1e-9)
@@ -190,11 +190,9 @@ def test_what_does_not_belong_together_is_refused():
             compiled.match_surfaces(*surfaces, POSES, wrong, 0.3, 0.02, True, False, 1)
     with pytest.raises(IndexError, match="poses"):
         compiled.match_surfaces(*surfaces, POSES[:2], PAIRS[:1], 0.3, 0.02, True, False, 1)
-    own = surfaces.points, surfaces.normals, (0.0, 0.0, 0.0), np.ones(3), np.array([0.1]), 0.02, 0.02
+    own = surfaces.points, (0.0, 0.0, 0.0), np.ones(3), np.array([0.1]), 0.02, 0.02
     with pytest.raises(IndexError, match="poses"):
         compiled.match_to_surfaces(*surfaces, POSES[:2], *own)
-    with pytest.raises(IndexError, match="own_normals"):
-        compiled.match_to_surfaces(*surfaces, POSES, own[0], own[1][:-1], *own[2:])
     with pytest.raises(IndexError, match="starts"):
         compiled.fit_surfaces(surfaces.points, np.array([0, 9]), np.zeros((2, 2)), 0.0, 1)
 

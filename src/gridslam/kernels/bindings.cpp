@@ -320,13 +320,12 @@ auto py_fit_surfaces(Points ends, Starts starts, Points origins, double reach_m,
 
 // Short enough to keep the GIL: a scan takes some ten microseconds.
 auto py_match_to_surfaces(Points points, Points normals, Vector bearings, Starts starts, Points origins, Poses poses,
-                          Points own_points, Points own_normals, std::array<double, 3> guess, Triple prior,
-                          Vector gates_m, double scale_m, double least_information) {
+                          Points ends, std::array<double, 3> guess, Triple prior, Vector gates_m, double scale_m,
+                          double least_information) {
   const Surfaces fixed = view_surfaces(points, normals, bearings, starts, origins);
   require(origins.shape(0) == poses.shape(0), "poses: expected one for each scan");
-  require(own_points.shape(0) == own_normals.shape(0), "own_normals: expected one for each point");
-  const std::array<int64_t, 2> own_starts{0, static_cast<int64_t>(own_points.shape(0))};
-  const Surfaces moved{own_points.data(), own_normals.data(), nullptr, own_starts.data(), nullptr};
+  const std::array<int64_t, 2> own_starts{0, static_cast<int64_t>(ends.shape(0))};
+  const Surfaces moved{ends.data(), nullptr, nullptr, own_starts.data(), nullptr};
   const SurfaceMatching how{prior.data(), gates_m.data(), static_cast<int64_t>(gates_m.shape(0)), scale_m,
                             least_information};
   const int64_t count =
@@ -389,8 +388,7 @@ NB_MODULE(_compiled, m) {
         "pairs"_a, "gate_m"_a, "scale_m"_a, "both"_a, "by_incidence"_a, "threads"_a);
   m.def("fit_surfaces", &py_fit_surfaces, "ends"_a, "starts"_a, "origins"_a, "reach_m"_a, "threads"_a);
   m.def("match_to_surfaces", &py_match_to_surfaces, "points"_a, "normals"_a, "bearings"_a, "starts"_a, "origins"_a,
-        "poses"_a, "own_points"_a, "own_normals"_a, "guess"_a, "prior"_a, "gates_m"_a, "scale_m"_a,
-        "least_information"_a);
+        "poses"_a, "ends"_a, "guess"_a, "prior"_a, "gates_m"_a, "scale_m"_a, "least_information"_a);
   m.def("sum_at_ends", &py_sum_at_ends, "patches"_a, "corner"_a, "resolution"_a, "poses"_a, "ends"_a, "threads"_a);
   m.def("max_pyramid", &py_max_pyramid, "field"_a, "ids"_a, "likelihood"_a);
   m.def("correlate", &py_correlate, "cells"_a, "nodes"_a, "top"_a, "ends"_a, "headings"_a, "window"_a, "centre"_a,

@@ -172,8 +172,7 @@ def match_to_surfaces(
     starts: Places,
     origins: Numbers,
     poses: Numbers,
-    own_points: Numbers,
-    own_normals: Numbers,
+    ends: Numbers,
     guess: tuple[float, float, float],
     prior: Numbers,
     gates_m: Numbers,
@@ -188,8 +187,8 @@ def match_to_surfaces(
         Of S scans, see `match_surfaces`.
     poses : (S, 3) float64
         Where they are.
-    own_points, own_normals : (K, 2) float64
-        Of the scan.
+    ends : (K, 2) float64
+        Of the scan's beams, base frame; each is matched with the nearest line, whatever its direction.
     guess : (float, float, float)
         About where it is.
     prior : (3,) float64
@@ -209,15 +208,15 @@ def match_to_surfaces(
     """
     count = len(poses)
     whole = (
-        np.concatenate([points[: starts[-1]], own_points]),
-        np.concatenate([normals[: starts[-1]], own_normals]),
-        np.concatenate([bearings[: starts[-1]], np.empty(len(own_points))]),
-        np.append(starts, starts[-1] + len(own_points)),
+        np.concatenate([points[: starts[-1]], ends]),
+        np.concatenate([normals[: starts[-1]], np.full(ends.shape, np.nan)]),
+        np.concatenate([bearings[: starts[-1]], np.empty(len(ends))]),
+        np.append(starts, starts[-1] + len(ends)),
         np.concatenate([origins, np.zeros((1, 2))]),
     )
     pairs = np.column_stack([np.arange(count), np.full(count, count)])
     pose = np.array(guess)
-    fewest = count * len(own_points)
+    fewest = count * len(ends)
     for gate_m in gates_m.tolist():
         sums = match_surfaces(*whole, np.concatenate([poses, pose[None]]), pairs, gate_m, scale_m, False, False, 1)
         sums = sums.sum(axis=0)
@@ -329,7 +328,7 @@ def match_points(
 ) -> MatchedPoints:
     """Match points with lines, in pairs (P, 2) of the scan with the lines and that with the points.
 
-    The other arguments are those of `match_surfaces`.
+    The other arguments are those of `match_surfaces`; points whose normal is NaN fit lines of all directions.
     """
     points, normals, bearings, starts, origins = surfaces
     fixed, moved = pairs.T
@@ -359,7 +358,7 @@ def match_points(
     towards = np.column_stack([c * normal[:, 0] + s * normal[:, 1], c * normal[:, 1] - s * normal[:, 0]])
     residual = ((at - points[line]) * normal).sum(axis=1)
     fits = (place > first) & (place < last) & (nearest < NEAR_M**2)
-    fits &= (towards * normals[own]).sum(axis=1) >= LEAST_COSINE
+    fits &= ~((towards * normals[own]).sum(axis=1) < LEAST_COSINE)
     fits &= np.abs(residual) <= gate_m
     variance = np.ones(len(at))
     if by_incidence:

@@ -186,9 +186,11 @@ void add(const Surfaces& of, int64_t fixed, const Surfaces& by, int64_t moved, c
     }
     if (nearest < 0) continue;
     const double nx = of.normals[2 * nearest], ny = of.normals[2 * nearest + 1];
-    const double mx = c * by.normals[2 * k] - s * by.normals[2 * k + 1];
-    const double my = s * by.normals[2 * k] + c * by.normals[2 * k + 1];
-    if (nx * mx + ny * my < kLeastCosine) continue;
+    if (by.normals != nullptr) {
+      const double mx = c * by.normals[2 * k] - s * by.normals[2 * k + 1];
+      const double my = s * by.normals[2 * k] + c * by.normals[2 * k + 1];
+      if (nx * mx + ny * my < kLeastCosine) continue;
+    }
     const double residual = (x - of.points[2 * nearest]) * nx + (y - of.points[2 * nearest + 1]) * ny;
     if (std::abs(residual) > gate_m) continue;
     const double scaled = residual / scale_m;

@@ -10,7 +10,7 @@ namespace gridslam {
 // Points of scans, ascending by bearing from each scan's laser.
 struct Surfaces {
   const double* points;    // (B, 2), base frame
-  const double* normals;   // (B, 2), toward the laser
+  const double* normals;   // (B, 2), toward the laser; null where none is known, so that all lines will do
   const double* bearings;  // (B,), ranks of bearings
   const int64_t* starts;   // (S + 1,)
   const double* origins;   // (S, 2)
@@ -38,7 +38,7 @@ struct SurfaceMatching {
   double least_information;
 };
 
-// Moves `pose` (3,), where scan 0 of `moved` is, to where its points fit lines of the `count` scans of `fixed` at
+// Moves `pose` (3,), where scan 0 of `moved` is, to where its ends fit lines of the `count` scans of `fixed` at
 // `poses`; gives the number of points matched in the step where they were the fewest.
 int64_t match_to_surfaces(const Surfaces& fixed, const double* poses, int64_t count, const Surfaces& moved,
                           const SurfaceMatching& how, double* pose);

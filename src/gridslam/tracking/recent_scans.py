@@ -1,4 +1,4 @@
-"""The newest scans in the local map, and the surfaces that they have seen."""
+"""Scans of the last metres, and the surfaces that they have seen."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ class RecentScan:
 @final
 @dataclass(slots=True, eq=False)
 class RecentScans:
-    """The newest scans that were inserted into the local map, oldest first; replaced as a whole, never changed."""
+    """Scans of the last metres in the local map, oldest first; replaced as a whole, never changed."""
 
     scans: list[RecentScan] = field(default_factory=list)
     fitted: Surfaces | None = field(default=None, metadata=NOT_SAVED)
@@ -44,10 +44,10 @@ class RecentScans:
             self.fitted = Surfaces.of(ScanBatch.of([StoredScan(scan.ends, scan.origin) for scan in self.scans]))
         return self.fitted
 
-    def insert(self, beams: BeamEnds, own: Surfaces, pose: Pose, most: int) -> RecentScans:
-        """Add a scan with its surfaces, of which the oldest go beyond `most`."""
+    def insert(self, beams: BeamEnds, pose: Pose, most: int) -> RecentScans:
+        """Add a scan, fit its surfaces, and leave out the oldest beyond `most`."""
         kept = most - 1
         scan = RecentScan(beams.ends, np.asarray(beams.origin, np.float64), pose)
-        return RecentScans(
-            [*self.scans[-kept:], scan], self.surfaces.of_scans(max(len(self.scans) - kept, 0)).append(own)
-        )
+        before = self.surfaces.of_scans(max(len(self.scans) - kept, 0))
+        own = Surfaces.of(ScanBatch.of([beams]))
+        return RecentScans([*self.scans[-kept:], scan], before.append(own))

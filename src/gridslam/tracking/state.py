@@ -118,7 +118,7 @@ class TrackerState:
     open_way_m : float
         Way since the last match that left no direction open.
     recent : RecentScans
-        The newest scans in the local map, to the surfaces of which the next one is matched.
+        Scans of the last metres in the local map, to the surfaces of which the next one is matched.
     pyramid : Pyramid or None
         Of the local map that is matched against, where it was searched since a scan was inserted.
     """

@@ -16,7 +16,6 @@ import numpy as np
 from gridslam.checked import checked
 from gridslam.errors import ArgumentError
 from gridslam.geometry.single_pose import Pose, as_pose, between, compose, is_known, motion_of
-from gridslam.grid.scan_batch import ScanBatch
 from gridslam.mapping.occupancy_grid_mapping import OccupancyGridMapping
 from gridslam.matching.gauss_newton import (
     EVALUATE_ONLY,
@@ -27,7 +26,6 @@ from gridslam.matching.gauss_newton import (
     known_inlier_ratio,
     thin,
 )
-from gridslam.matching.surfaces import Surfaces
 from gridslam.parameters import Kind, bounded, parameters
 from gridslam.tracking.odometry_calibration import OdometryCalibration
 from gridslam.tracking.prediction import (
@@ -75,6 +73,10 @@ _MATCHED_TURN_RAD = 0.2
 
 _MANY_BEAMS = 100
 """Beams from which on those that end in known cells, some tens then, decide: a few fit in many places."""
+
+_SURFACES_M = 0.4
+_SURFACES_RAD = 0.2
+"""Scans to whose surfaces later ones are matched are farther apart than one of these: nearer ones add cost alone."""
 
 _MAX_UNMATCHED_SCANS = 3
 """Without odometry, a scan is inserted without a valid match after this many consecutive failures."""
@@ -147,7 +149,7 @@ class Tracker:
         """Start at the origin of the tracker's frame with the first scan."""
         state = TrackerState.start(mapper.empty(2), odometry, stamp_ns, beams.scan.sensor)
         state.maps.update(state.row, np.array([state.pose]), beams)
-        self._remember(state, beams, None)
+        self._remember(state, beams)
         return state
 
     def step(
@@ -168,10 +170,8 @@ class Tracker:
             found, beams = self._locate_deskewed(state, predicted, beams)
         else:
             found = self._locate(state, predicted, beams)
-        own = None
         if found.inlier_ratio and found.pose != state.pose and len(state.sensors) == 1:
-            own = Surfaces.of(ScanBatch.of([beams]))
-            found = found._replace(pose=match_to_surfaces(state.recent, own, found))
+            found = found._replace(pose=match_to_surfaces(state.recent, beams.ends, found))
         joint = self._merge_lasers(state, found.pose, found.prediction, beams)
         self._advance(state, found)
         by_odometry = found.prediction.by_odometry
@@ -183,7 +183,7 @@ class Tracker:
         state.odometry = reading
         if found.matched:
             self._learn(state, found)
-            self._insert(state, found, beams, own)
+            self._insert(state, found, beams)
         by_velocity = Control(found.pose, spread if found.lost else None)
         control = self.search.control(state, found) if by_odometry else by_velocity
         return TrackedScan(found.pose, found.prediction.pose, control, beams, joint)
@@ -412,7 +412,7 @@ class Tracker:
         """Whether a match is non-degenerate, and better than calibrated odometry."""
         return match.degenerate_direction(calibrated(self.matcher).min_information) is None
 
-    def _insert(self, state: TrackerState, found: PoseEstimate, beams: Beams, own: Surfaces | None) -> None:
+    def _insert(self, state: TrackerState, found: PoseEstimate, beams: Beams) -> None:
         """Insert the scan if its laser has moved since its last one, and if one knows where it was taken."""
         track = state.sensors.get(beams.scan.sensor)
         state.stamps_unreliable = state.stamps_unreliable or (
@@ -434,13 +434,14 @@ class Tracker:
         )
         if due:
             state.insert(beams, self.map_scans)
-            self._remember(state, beams, own)
+            self._remember(state, beams)
 
-    def _remember(self, state: TrackerState, beams: Beams, own: Surfaces | None) -> None:
-        """Let later scans be matched to the surfaces of this one, which has its own if they are fitted already."""
-        if len(state.sensors) == 1:
-            own = Surfaces.of(ScanBatch.of([beams])) if own is None else own
-            state.recent = state.recent.insert(beams, own, state.pose, SURFACE_SCANS)
+    def _remember(self, state: TrackerState, beams: Beams) -> None:
+        """Let later scans be matched to the surfaces of this one."""
+        newest = state.recent.scans[-1:]
+        is_near = newest and is_within(newest[0].pose, state.pose, _SURFACES_M, _SURFACES_RAD)
+        if len(state.sensors) == 1 and not is_near:
+            state.recent = state.recent.insert(beams, state.pose, SURFACE_SCANS)
 
 
 def _sudden_turns(twist: Pose, beams: Beams, fastest_rps: float) -> list[FloatArray]:

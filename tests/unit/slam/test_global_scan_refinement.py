@@ -141,14 +141,23 @@ def test_recognized_places_that_make_a_trajectory_worse_are_not_taken_over(loop,
     alone = refinement._keep_trajectory("filter", trajectory, [])
     before = refinement.adjust(alone)
     place = Constraint(0, 20, between(trajectory[0], trajectory[20]), np.eye(3), ConstraintSource.RECOGNIZED, True)
-    for worse in (1.0, -1.0):
+    for worse in (1.5, 0.5):  # nats; one is worth no more than a bare mention
         likelihood = before.score.log_likelihood - worse
         monkeypatch.setattr(_Refinement, "_log_likelihood", lambda self, joined, value=likelihood: value)
         taken = refinement._take_over(alone, [place])
-        assert taken.recognized_constraints == ([] if worse > 0 else [place])
+        assert taken.recognized_constraints == ([] if worse > 1 else [place])
         assert state.graph.constraints == taken.constraints
-        assert (refinement.adjusted.get("filter") is before) is (worse > 0)
+        assert (refinement.adjusted.get("filter") is before) is (worse > 1)
         refinement.adjusted["filter"] = before
+
+
+def test_tracked_revisits_are_apart(loop):
+    """One every metre, or half a radian: those between would measure the same."""
+    graph = loop.state.closure_state.graph
+    tracked = [c.to for c in graph.constraints if c.source is ConstraintSource.TRACKED and c.determined]
+    x, y, turn = between(np.array(graph.tracked)[tracked[:-1]], np.array(graph.tracked)[tracked[1:]]).T
+    assert len(tracked) > 5
+    assert ((np.hypot(x, y) >= 1.0) | (np.abs(turn) >= 0.5)).all()
 
 
 def test_no_scan_is_moved_farther_from_the_key_scans_trajectory_than_allowed(halls):

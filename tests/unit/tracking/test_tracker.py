@@ -57,6 +57,14 @@ def biased():
     return driven(BIASED)
 
 
+def test_surfaces_are_of_scans_that_are_apart(perfect):
+    _, _, state = track(Tracker(), perfect)
+    kept = np.array([scan.pose for scan in state.recent.scans])
+    x, y, turn = between(kept[:-1], kept[1:]).T
+    assert len(kept) == 4
+    assert ((np.hypot(x, y) >= 0.4) | (np.abs(turn) >= 0.2)).all()
+
+
 def test_biased_odometry_is_corrected_in_a_room(biased):
     """Odometry alone strays by more than four times as much."""
     alone = missed(between(biased.odometry.poses[0], biased.odometry.poses), biased).max(axis=0)

@@ -141,6 +141,8 @@ _MOST_SQUARED = 25.0
 _AGREE_M, _AGREE_RAD = 0.3, 0.05
 """Trajectories are the same if no key scan is farther from where the other has it; a pair that is farther from the
 answer is an outlier."""
+_BARE_MENTION = 1.0
+"""Nats, odds of e to 1: less evidence is not worth more than a bare mention. Kass and Raftery, Bayes factors (1995)."""
 _TORN = 0.1
 """Loss of agreement that shows a failed adjustment: key scans that belong together were torn apart."""
 _SAME_VISIT = 3 * KEY_SCANS_PER_SUBMAP
@@ -423,7 +425,7 @@ class _Refinement:
         """
         without = self.adjusted.pop(candidate.name)
         joined = self._keep_trajectory(candidate.name, candidate.graph.poses, recognized)
-        if self._log_likelihood(joined) >= without.score.log_likelihood:
+        if self._log_likelihood(joined) >= without.score.log_likelihood - _BARE_MENTION:
             return joined
         self.adjusted[candidate.name] = without
         self.graph.constraints = candidate.constraints

@@ -34,6 +34,9 @@ _TRACKED_MAX_TURN_RAD = 0.05
 """Largest change of heading: tracking knows it better, and larger ones come from moved objects."""
 _TRACKED_KEY_SCANS = 12
 """Number of key scans for which the pose is tracked from the last non-degenerate constraint."""
+_REVISIT_M = 1.0
+_REVISIT_RAD = 0.5
+"""Tracked revisits are farther apart than one of these: those between would measure the same."""
 _TRACKED_MAX_CORRECTION_M = 0.2
 """Reject a match farther than this from the tracked pose: the object has moved, or the match slid along a wall."""
 _GATE_SIGMAS = 2.5
@@ -114,7 +117,10 @@ class PlaceMatching:
         oldest = submap_of(newest) - _RECENT_SUBMAPS
         if oldest < 0 or len(closure_state.scans.key(newest)) < _MATCHER.min_beams:
             return False
-        tracked = self._predict_from_last_constraint(graph, oldest)
+        last = _find_last_certain(graph)
+        if last is not None and _is_revisit_near(graph, last):
+            return False
+        tracked = None if last is None else self._predict_from_constraint(graph, last, oldest)
         prediction = tracked or self._predict_from_filter(closure_state, oldest)
         if prediction is None:
             return False
@@ -139,17 +145,9 @@ class PlaceMatching:
         graph.add(constraint)
         return constraint.source is ConstraintSource.TRACKED
 
-    def _predict_from_last_constraint(self, graph: KeyGraph, oldest: int) -> tuple[int, FloatArray] | None:
-        """The submap reached by tracking from the last constraint, and the pose of the robot in its frame."""
+    def _predict_from_constraint(self, graph: KeyGraph, last: Constraint, oldest: int) -> tuple[int, FloatArray] | None:
+        """The submap reached by tracking from a constraint, and the pose of the robot in its frame."""
         newest = len(graph) - 1
-        known = (
-            constraint
-            for constraint in reversed(graph.constraints[-_TRACKED_KEY_SCANS:])
-            if constraint.determined and constraint.source is not ConstraintSource.PROXIMITY
-        )
-        last = next(known, None)
-        if last is None or newest - last.to > _TRACKED_KEY_SCANS:
-            return None
         seen = compose(last.measurement, between(graph.tracked[last.to], graph.tracked[newest]))
         submap = submap_of(last.from_)
         near = [b for b in (submap - 1, submap, submap + 1) if 0 <= b <= oldest]
@@ -167,6 +165,23 @@ class PlaceMatching:
         away = np.hypot(*(anchors[:, :2] - here[:2]).T)
         submap = int(away.argmin())
         return (submap, between(anchors[submap], here)) if away[submap] < self.max_distance_m else None
+
+
+def _find_last_certain(graph: KeyGraph) -> Constraint | None:
+    """The last constraint from which the newest key scan is tracked, if that is not too long ago."""
+    certain = (
+        constraint
+        for constraint in reversed(graph.constraints[-_TRACKED_KEY_SCANS:])
+        if constraint.determined and constraint.source is not ConstraintSource.PROXIMITY
+    )
+    last = next(certain, None)
+    return None if last is None or len(graph) - 1 - last.to > _TRACKED_KEY_SCANS else last
+
+
+def _is_revisit_near(graph: KeyGraph, last: Constraint) -> bool:
+    """Whether the last constraint is a tracked revisit, of a key scan near the newest one."""
+    x, y, turn = between(graph.tracked[last.to], graph.tracked[-1]).tolist()
+    return last.source is ConstraintSource.TRACKED and math.hypot(x, y) < _REVISIT_M and abs(turn) < _REVISIT_RAD
 
 
 def squared_sigmas(covariance: FloatArray, innovation: FloatArray) -> float:
