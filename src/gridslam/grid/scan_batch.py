@@ -33,7 +33,5 @@ class ScanBatch(NamedTuple):
     def of(cls, scans: Sequence[BeamEnds]) -> ScanBatch:
         """Put scans side by side."""
         starts = np.array([0, *accumulate(map(len, scans))], np.int64)
-        if len(scans) == 1:  # as a tracker has it at every scan
-            return cls(scans[0].ends, starts, scans[0].origin.reshape(1, 2))
         ends = np.concatenate([np.empty((0, 2)), *(scan.ends for scan in scans)])
         return cls(ends, starts, np.array([scan.origin for scan in scans], np.float64).reshape(-1, 2))
