@@ -279,7 +279,7 @@ class _Refinement:
 
         More places are recognized as long as they are better than a trajectory that they change, or join components:
         one that is joined shows where others belong. A trajectory that is better than what changes it takes over the
-        places that agree with it, if most of them do and it is not worse with them; the others are rejected.
+        places that agree with it, if most of them do and it is not clearly worse with them; the others are rejected.
         """
         recognized = [c for c in self.graph.constraints if c.source is ConstraintSource.RECOGNIZED]
         last = best = self._keep_trajectory("filter", trajectory, recognized)
@@ -419,7 +419,7 @@ class _Refinement:
         return self._optimize(name, solution.poses, [*recognized, *known])
 
     def _take_over(self, candidate: Candidate, recognized: list[Constraint]) -> Candidate:
-        """Return a candidate with recognized places that agree with it; without, where it is worse with them.
+        """Return a candidate with recognized places that agree with it; without, where it is clearly worse with them.
 
         Where its pieces share nothing, places that join some of them wrongly bend the others.
         """

@@ -8,6 +8,7 @@ import numpy as np
 
 from gridslam.geometry.angles import wrap
 from gridslam.geometry.se2 import between, compose
+from gridslam.geometry.single_pose import as_pose
 from gridslam.grid.tiles import TileMaps
 from gridslam.mapping.occupancy_grid_mapping import OccupancyGridMapping
 from gridslam.matching.gauss_newton import NO_PRIOR, GaussNewton, cauchy_weights
@@ -22,6 +23,7 @@ from gridslam.slam.loop_closure.key_graph import (
 )
 from gridslam.slam.loop_closure.state import LoopClosureState
 from gridslam.slam.loop_closure.submaps import ROW
+from gridslam.tracking.state import is_within
 from gridslam.types import FloatArray
 
 _RECENT_SUBMAPS = 3
@@ -180,8 +182,8 @@ def _find_last_certain(graph: KeyGraph) -> Constraint | None:
 
 def _is_revisit_near(graph: KeyGraph, last: Constraint) -> bool:
     """Whether the last constraint is a tracked revisit, of a key scan near the newest one."""
-    x, y, turn = between(graph.tracked[last.to], graph.tracked[-1]).tolist()
-    return last.source is ConstraintSource.TRACKED and math.hypot(x, y) < _REVISIT_M and abs(turn) < _REVISIT_RAD
+    before, now = as_pose(graph.tracked[last.to]), as_pose(graph.tracked[-1])
+    return last.source is ConstraintSource.TRACKED and is_within(before, now, _REVISIT_M, _REVISIT_RAD)
 
 
 def squared_sigmas(covariance: FloatArray, innovation: FloatArray) -> float:
