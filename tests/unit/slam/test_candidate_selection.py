@@ -69,7 +69,7 @@ def score(likelihood):
 @pytest.mark.parametrize(
     ("places", "height", "likelihood", "searches", "best", "kept"),
     [
-        ((1, 1, 1), 0.0, None, 1, "closed 1", None),  # they agree with the filter: nothing is compared
+        ((1, 1, 1), 0.0, -6.0, 1, "closed 1", None),  # they agree with the filter
         ((1, 1, 50), 0.0, -6.0, 1, "filter", (1, 1)),
         ((1, 1, 1), 2.0, -6.0, 1, "filter", (1, 1, 1)),  # they move it elsewhere
         ((1, 50, 50), 0.0, -6.0, 1, "filter", None),
@@ -91,7 +91,7 @@ def test_what_changes_the_trajectory_is_compared_with_it(monkeypatch, places, he
         return candidate(name, 0.0, recognized)
 
     def adjust(refinement, one):
-        told = -5.0 if one.name == "filter" else (likelihood or 0.0) + int(one.name[-1]) - 1
+        told = -5.0 if one.name == "filter" else likelihood + int(one.name[-1]) - 1
         refinement.adjusted[one.name] = adjusted(one, told)
         return refinement.adjusted[one.name]
 
@@ -102,7 +102,6 @@ def test_what_changes_the_trajectory_is_compared_with_it(monkeypatch, places, he
     refinement = begin()
     assert refinement.select(np.zeros((2, 3))).name == best
     assert len(names) == searches
-    assert ("filter" in refinement.adjusted) == (likelihood is not None)
     assert taken[1:] == ([list(kept)] if kept else [])
     assert refinement.closure_state.rejected[RejectionReason.IMPLAUSIBLE] == (len(places) - len(kept) if kept else 0)
 
@@ -213,13 +212,32 @@ def test_a_place_that_joins_components_and_is_rejected_is_not_searched_for_again
     assert len(names) == 1
 
 
+def test_places_are_compared_with_the_adjusted_trajectory(monkeypatch):
+    """The filter has drifted by 2 m where the places are; its surfaces fit only there."""
+    found = [Constraint(0, 1, np.array([1.0, 2.0, 0]), 1e6 * np.eye(3), ConstraintSource.RECOGNIZED, True)] * 3
+    there = candidate("there", 0.0).graph.with_poses(np.array([[0.0, 0.0, 0.0], [1.0, 2.0, 0.0]]))
+
+    def adjust(refinement, one):
+        refinement.adjusted[one.name] = adjusted(one, -5.0)._replace(graph=there)
+        return refinement.adjusted[one.name]
+
+    monkeypatch.setattr(_Refinement, "_add_closures", lambda _, name, begin: candidate(name, 0.0, found))
+    monkeypatch.setattr(_Refinement, "_optimize", lambda _, name, poses, constraints: candidate(name, 0.0, constraints))
+    monkeypatch.setattr(_Refinement, "adjust", adjust)
+    assert begin().select(np.array([[0.0, 0.0, 0.0], [1.0, 0.0, 0.0]])).recognized_constraints == found
+
+
 @pytest.mark.parametrize(
-    ("away", "likelihood", "best"), [(0.2, -4.0, "filter"), (2.0, -4.0, "revisits"), (2.0, -6.0, "filter")]
+    ("away", "likelihood", "is_better"), [(0.2, -4.0, False), (2.0, -4.0, True), (2.0, -6.0, False)]
 )
-def test_a_revisit_within_the_drift_must_change_the_trajectory_and_score_better(monkeypatch, away, likelihood, best):
-    """Neither place recognition nor the filter has found where the last metres belong."""
+@pytest.mark.parametrize(("proposed", "name"), [("propose_alignments", "placed 1"), ("propose_revisits", "revisits")])
+def test_what_is_proposed_must_change_the_trajectory_and_score_better(
+    monkeypatch, away, likelihood, is_better, proposed, name
+):
+    """Neither place recognition nor the filter has found where a component, or the last metres, belong."""
     place = Constraint(0, 1, np.array([1.0, away, 0.0]), 1e6 * np.eye(3), ConstraintSource.RECOGNIZED, True)
-    monkeypatch.setattr(global_scan_refinement, "propose_revisits", lambda *_: [place])
+    for each in ("propose_alignments", "propose_revisits"):
+        monkeypatch.setattr(global_scan_refinement, each, lambda *_, each=each: [place] if each == proposed else [])
 
     def adjust(refinement, one):
         refinement.adjusted[one.name] = adjusted(one, -5.0 if one.name == "filter" else likelihood)
@@ -229,6 +247,6 @@ def test_a_revisit_within_the_drift_must_change_the_trajectory_and_score_better(
     monkeypatch.setattr(_Refinement, "_optimize", lambda _, name, *__: candidate(name, 0.0))
     monkeypatch.setattr(_Refinement, "adjust", adjust)
     selected = begin(with_gap=True).select(np.array([[0.0, 0.0, 0.0], [1.0, 0.0, 0.0]]))
-    assert selected.name == best
+    assert selected.name == (name if is_better else "filter")
     assert selected.constraints == []
-    assert selected.graph.poses[1, 1] == pytest.approx(away if best == "revisits" else 0.0, abs=0.01)
+    assert selected.graph.poses[1, 1] == pytest.approx(away if is_better else 0.0, abs=0.01)

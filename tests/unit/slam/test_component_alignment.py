@@ -8,9 +8,17 @@ import pytest
 from closure_worlds import deceptive
 from gridslam.geometry.se2 import between, compose
 from gridslam.slam.full_slam import component_alignment
-from gridslam.slam.full_slam.component_alignment import Alignment, Hypothesis, KnownMap, SearchHit, align_components
+from gridslam.slam.full_slam.component_alignment import (
+    Alignment,
+    Hypothesis,
+    KnownMap,
+    SearchHit,
+    align_components,
+    propose_alignments,
+)
 from gridslam.slam.loop_closure.constraints import ConstraintSource
 from gridslam.slam.loop_closure.drift_model import DriftModel
+from gridslam.slam.loop_closure.loop_closure import LoopClosure
 from gridslam.slam.loop_closure.place_matching import PlaceMatching
 from gridslam.slam.loop_closure.state import LoopClosureState
 from gridslam.slam.loop_closure.submap_pairs import SubmapPairs
@@ -43,6 +51,10 @@ def aligned(closure_state):
     return align_components(closure_state, hall.MAPPER, SubmapPairs(), PlaceMatching(), lambda: None)
 
 
+def proposed(closure_state):
+    return propose_alignments(closure_state, hall.MAPPER, SubmapPairs(), LoopClosure(), lambda: None)
+
+
 def test_a_component_is_laid_where_its_key_scans_fit(seen):
     constraints = aligned(interrupted(seen, LAP + 5))
     assert len(constraints) >= 10
@@ -53,6 +65,16 @@ def test_a_component_is_laid_where_its_key_scans_fit(seen):
         for constraint in constraints
     )
     assert (hall.errors(seen.truth, constraints) < [0.1, 0.02]).all()
+
+
+def test_what_is_too_little_to_be_aligned_is_proposed(seen, monkeypatch):
+    closure_state = interrupted(seen, LAP + 5)
+    monkeypatch.setattr(component_alignment, "Alignment", partial(Alignment, min_log_likelihood=1e4))
+    assert aligned(closure_state) == []
+    (place,) = proposed(closure_state)
+    assert place.from_ < LAP + 5 <= place.to
+    assert (hall.errors(seen.truth, [place]) < [0.1, 0.02]).all()
+    assert proposed(interrupted(seen, LAP + 5, until=LAP + 5)) == [], "without a gap there is one component"
 
 
 @pytest.mark.parametrize(("kind", "seed"), [("symmetric", 2)])

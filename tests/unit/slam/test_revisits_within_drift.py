@@ -38,7 +38,7 @@ def drifted(seen, share=8.0, driven=DRIVEN):
 
 
 def proposed(closure_state, searched=0):
-    return propose_revisits(closure_state, SubmapPairs(), hall.MAPPER, LoopClosure(), lambda: None, searched)
+    return propose_revisits(closure_state, hall.MAPPER, SubmapPairs(), LoopClosure(), lambda: None, searched)
 
 
 def test_the_last_metres_of_a_lap_are_found_where_the_first_ones_are(seen):
@@ -66,7 +66,7 @@ def test_stretches_that_share_a_map_are_not_searched_for_in_their_own_scans(seen
     closure_state = drifted(seen)
     way = closure_state.graph.driven_m()
     closure = LoopClosure(recognition=SubmapRecognition(apart_m=6.0, certain_sigma_m=0.02))
-    found = propose_revisits(closure_state, SubmapPairs(), hall.MAPPER, closure, lambda: None)
+    found = propose_revisits(closure_state, hall.MAPPER, SubmapPairs(), closure, lambda: None)
     assert found
     assert all(way[to] - way[from_] >= 6.0 for from_, to, *_ in found)
 
@@ -77,5 +77,5 @@ def test_only_the_last_metres_are_searched_for(seen):
     closure_state = drifted(seen, driven=len(seen.truth))
     way = closure_state.graph.driven_m()
     assert way[-1] - way[LAP] > 50.0
-    propose_revisits(closure_state, SubmapPairs(), hall.MAPPER, LoopClosure(), lambda: asked.append(1))
+    propose_revisits(closure_state, hall.MAPPER, SubmapPairs(), LoopClosure(), lambda: asked.append(1))
     assert 4 <= len(asked) <= 7

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from typing import NamedTuple, final
 
@@ -17,6 +17,7 @@ from gridslam.matching.gauss_newton import GaussNewton, weigh_known_beams
 from gridslam.slam.full_slam.trajectory_score import SCALE_M, log_likelihood, weigh_same_side
 from gridslam.slam.loop_closure.constraints import Constraint, ConstraintSource, transform_match
 from gridslam.slam.loop_closure.key_graph import KEY_SCANS_PER_SUBMAP, KeyGraph, anchor_of, position_sigmas
+from gridslam.slam.loop_closure.loop_closure import LoopClosure
 from gridslam.slam.loop_closure.map_search import MapSearch
 from gridslam.slam.loop_closure.place_matching import PlaceMatching, compute_innovation, squared_sigmas
 from gridslam.slam.loop_closure.scan_archive import ScanArchive
@@ -76,6 +77,8 @@ _DEFERRED_RATIO = 0.4
 waits until the other one is known."""
 _WIDE = np.diag(1 / np.square([1.5, 1.5, 0.05]))
 """Information (1/m^2, 1/rad^2) of a place that furniture alone distinguishes from those beside."""
+_SURE = np.diag(1 / np.square([0.05, 0.05, 0.02]))
+"""Information of a place that is proposed: where a component starts from."""
 _CONSTRAINT_INTERVAL = 3
 """Key scans from one constraint to the next."""
 MIN_CONSTRAINTS = 3
@@ -121,15 +124,64 @@ def align_components(
     aligned
         Number of first key scans that were aligned with each other before, and are not again.
     """
+    found: list[Constraint] = []
+    aligned_pairs: list[tuple[float, int, int, list[Constraint]]] = []
+    for old, new, alignment, hypotheses in _hypothesize(closure_state, mapper, stretches, places, on_progress, aligned):
+        best = alignment.decide(hypotheses)
+        if best is not None and (best.is_open or alignment.is_left_open(best)):
+            found += alignment.constrain_as_one(best, is_certain=False)
+        elif best is not None:
+            determined = [each for each in alignment.match_constraints(best) if each.determined]
+            if len(determined) < MIN_CONSTRAINTS:
+                determined = alignment.constrain_as_one(best)
+            aligned_pairs.append((-best.evidence, old, new, determined))
+    taken: dict[int, float] = {}
+    for less, old, new, constraints in sorted(aligned_pairs, key=lambda pair: pair[:3]):
+        if -less >= _DEFERRED_RATIO * max(taken.get(old, 0.0), taken.get(new, 0.0)):
+            found += constraints
+            taken = {old: -less, new: -less} | taken
+    return found
+
+
+def propose_alignments(
+    closure_state: LoopClosureState,
+    mapper: OccupancyGridMapping,
+    stretches: SubmapPairs,
+    closure: LoopClosure,
+    on_progress: Callable[[], None],
+    aligned: int = 0,
+) -> list[Constraint]:
+    """Propose where each component lies in an older one: the likeliest place, however little they share.
+
+    It may be wrong: a trajectory with what is proposed must have the better score. Parameters as of
+    `align_components`; `closure` has the places.
+    """
+    likeliest: dict[int, tuple[float, Constraint]] = {}
+    for _, new, alignment, hypotheses in _hypothesize(
+        closure_state, mapper, stretches, closure.places, on_progress, aligned
+    ):
+        best = max(hypotheses, key=lambda hypothesis: hypothesis.evidence, default=None)
+        if best is not None and (new not in likeliest or best.evidence > likeliest[new][0]):
+            likeliest[new] = best.evidence, alignment.place_as_one(best)
+    return [constraint for _, constraint in likeliest.values()]
+
+
+def _hypothesize(
+    closure_state: LoopClosureState,
+    mapper: OccupancyGridMapping,
+    stretches: SubmapPairs,
+    places: PlaceMatching,
+    on_progress: Callable[[], None],
+    aligned: int,
+) -> Iterator[tuple[int, int, Alignment, list[Hypothesis]]]:
+    """Yield pairs of rigid components, the older one first, with the places of the newer one in the other's map."""
     graph = closure_state.graph
     labels = graph.label_rigid_components()
     if not labels.any():
-        return []
+        return
     stretches.cut(graph, closure_state.scans, mapper, LENGTH_M, STEP_M, is_over=True)
     poses = np.array(graph.poses)
     wanted = _select_searches(graph, stretches.submaps, labels, aligned)
-    found: list[Constraint] = []
-    aligned_pairs: list[tuple[float, int, int, list[Constraint]]] = []
     for old in np.unique([search.old for search in wanted]).tolist():
         keys = np.flatnonzero(labels == old)
         known = KnownMap(closure_state.scans, poses, keys, build_map(mapper, closure_state.scans, keys, poses[keys]))
@@ -140,20 +192,8 @@ def align_components(
         for new, of_new in sorted(hits.items()):
             on_progress()
             alignment = Alignment(closure_state, mapper, places, np.flatnonzero(labels == new), known)
-            best = alignment.select_hypothesis(of_new)
-            if best is not None and (best.is_open or alignment.is_left_open(best)):
-                found += alignment.constrain_as_one(best, is_certain=False)
-            elif best is not None:
-                determined = [each for each in alignment.match_constraints(best) if each.determined]
-                if len(determined) < MIN_CONSTRAINTS:
-                    determined = alignment.constrain_as_one(best)
-                aligned_pairs.append((-best.evidence, old, new, determined))
-    taken: dict[int, float] = {}
-    for less, old, new, constraints in sorted(aligned_pairs, key=lambda pair: pair[:3]):
-        if -less >= _DEFERRED_RATIO * max(taken.get(old, 0.0), taken.get(new, 0.0)):
-            found += constraints
-            taken = {old: -less, new: -less} | taken
-    return found
+            groups = group_hits(graph, of_new)[:_MAX_HYPOTHESES]
+            yield old, new, alignment, [alignment.lay_component(group) for group in groups]
 
 
 @final
@@ -284,11 +324,6 @@ class Alignment:
     min_log_likelihood: float = _MIN_LOG_LIKELIHOOD
     ambiguity_ratio: float = _AMBIGUITY_RATIO
 
-    def select_hypothesis(self, hits: list[SearchHit]) -> Hypothesis | None:
-        """Return the best hypothesis that the hits lead to, if it is accepted."""
-        groups = group_hits(self.closure_state.graph, hits)[:_MAX_HYPOTHESES]
-        return self.decide([self.lay_component(group) for group in groups])
-
     def is_left_open(self, best: Hypothesis) -> bool:
         """Whether walls fit beside a hypothesis as well: furniture alone decides, see `leave_open`."""
         middle = len(self.keys) // 2
@@ -417,18 +452,26 @@ class Alignment:
         None if the match moves away from the hypothesis. If it is not certain the place is within a metre or so, which
         determines nothing of other key scans.
         """
-        middle = len(self.keys) // 2
-        key, pose = int(self.keys[middle]), best.poses[middle]
+        place = self.place_as_one(best)
+        (from_, key), begin = place.pair, self.known.poses[place.from_]
+        pose = compose(begin, place.measurement)
         match = self._match_points(self._as_submap(key, between(pose, best.poses)), pose)
         x, y, _ = between(pose, match.poses[0]).tolist()
         if math.hypot(x, y) > _MERGE_M:
             return []
-        _, old_poses, old, _ = self.known
-        from_ = int(old[np.hypot(*(old_poses[old, :2] - pose[:2]).T).argmin()])
-        seen = transform_match(old_poses[from_], match)
-        guess = between(old_poses[from_], pose)
+        seen = transform_match(begin, match)
+        guess = place.measurement
         constraint = Constraint.from_match(from_, key, guess, seen, _BEAM_SIGMA_M, 0.0, ConstraintSource.RECOGNIZED)
         return [constraint if is_certain else constraint._replace(information=_WIDE, determined=False)]
+
+    def place_as_one(self, best: Hypothesis) -> Constraint:
+        """Constrain the middle key scan to the nearest one of the map as a hypothesis has it: nothing confirms it."""
+        middle = len(self.keys) // 2
+        key, pose = int(self.keys[middle]), best.poses[middle]
+        _, old_poses, old, _ = self.known
+        from_ = int(old[np.hypot(*(old_poses[old, :2] - pose[:2]).T).argmin()])
+        measurement = between(old_poses[from_], pose)
+        return Constraint(from_, key, measurement, _SURE, ConstraintSource.RECOGNIZED, True)
 
 
 def group_hits(graph: KeyGraph, hits: list[SearchHit]) -> list[list[SearchHit]]:

@@ -14,7 +14,7 @@ from gridslam.grid.tiles import TileMaps
 from gridslam.mapping.occupancy_grid_mapping import OccupancyGridMapping
 from gridslam.matching.sharpness import measure_sharpness
 from gridslam.matching.surfaces import Surfaces
-from gridslam.slam.full_slam.component_alignment import align_components
+from gridslam.slam.full_slam.component_alignment import align_components, propose_alignments
 from gridslam.slam.full_slam.full_trajectory import TrackedScans, full_trajectories
 from gridslam.slam.full_slam.key_motion import weigh_odometry
 from gridslam.slam.full_slam.revisits_within_drift import propose_revisits
@@ -40,7 +40,8 @@ class Candidate:
     ----------
     name : str
         Where it comes from: "filter", the best particle's past; "closed 1", "closed 2", ..., the tracked motion with
-        places that were found in a search of the whole log; "revisits", returned to where its last metres fit.
+        places that were found in a search of the whole log; "placed 1" and "placed 2", with components where they fit
+        best, as tracked and as adjusted; "revisits", returned to where its last metres fit.
     graph : PoseGraph
         Key scans and what was measured between them; its poses (T, 3) are the trajectory.
     constraints : list of Constraint
@@ -294,8 +295,9 @@ class _Refinement:
             if found is None:
                 break
             recognized = found.recognized_constraints
-            contradicted = self.closure.find_contradicted(recognized, last.graph.poses)
-            agrees = best is last and not contradicted.any() and _moved_m(found, last) <= _AGREE_M
+            adjusted = self.adjust(last)  # what the filter reports is off by what it has drifted
+            contradicted = self.closure.find_contradicted(recognized, adjusted.graph.poses)
+            agrees = best is last and not contradicted.any() and _moved_m(self.adjust(found), adjusted) <= _AGREE_M
             is_better = not agrees and self._log_likelihood(found) > self._log_likelihood(best)
             if agrees or is_better:
                 best = found
@@ -310,10 +312,11 @@ class _Refinement:
             if not (is_better or is_joined):
                 break
             last = found
-        closed = self._return_within_drift(best)
-        if closed is not None and self._log_likelihood(closed) > self._log_likelihood(best):
-            best = closed
-        return best
+        if self.graph.label_rigid_components(best.constraints).any():
+            tracked = SOLVER.solve(self._graph(best.graph.poses, best.constraints)).poses
+            best = self._start_from("placed 1", best, propose_alignments, tracked)
+            best = self._start_from("placed 2", best, propose_alignments, self.adjust(best).graph.poses)
+        return self._start_from("revisits", best, propose_revisits, self.adjust(best).graph.poses)
 
     def adjust(self, candidate: Candidate) -> Adjusted:
         """Move the key scans of a candidate until their surfaces fit; the same again where that was done before.
@@ -424,30 +427,32 @@ class _Refinement:
         Where its pieces share nothing, places that join some of them wrongly bend the others.
         """
         without = self.adjusted.pop(candidate.name)
-        joined = self._keep_trajectory(candidate.name, candidate.graph.poses, recognized)
+        joined = self._keep_trajectory(candidate.name, without.graph.poses, recognized)
         if self._log_likelihood(joined) >= without.score.log_likelihood - _BARE_MENTION:
             return joined
         self.adjusted[candidate.name] = without
         self.graph.constraints = candidate.constraints
         return candidate
 
-    def _return_within_drift(self, best: Candidate) -> Candidate | None:
-        """Let a candidate return to where the last metres of its way fit; None if it is there already, or none fits.
+    def _start_from(
+        self, name: str, best: Candidate, propose: Callable[..., list[Constraint]], drawn: FloatArray
+    ) -> Candidate:
+        """Let a candidate start from places that are proposed in a map drawn from poses (T, 3); return the better one.
 
         What fits is no constraint, but where surfaces are matched from.
         """
         known = best.constraints
-        adjusted = replace(best, graph=self.adjust(best).graph)
         self.graph.constraints = known
-        self.graph.correct(adjusted.graph.poses)
-        found = propose_revisits(
-            self.closure_state, self.stretches, self.mapper, self.closure, self.on_progress, self.searched
-        )
+        self.graph.correct(drawn)
+        found = propose(self.closure_state, self.mapper, self.stretches, self.closure, self.on_progress, self.searched)
         if not found:
-            return None
+            return best
         poses = SOLVER.solve(self._graph(best.graph.poses, [*found, *known])).poses
-        closed = self._keep_trajectory("revisits", poses, best.recognized_constraints)
-        return None if _moved_m(closed, adjusted) <= _AGREE_M else closed
+        other = self._keep_trajectory(name, poses, best.recognized_constraints)
+        is_better = _moved_m(other, self.adjust(best)) > _AGREE_M and self._log_likelihood(
+            other
+        ) > self._log_likelihood(best)
+        return other if is_better else best
 
     def _optimize(self, name: str, poses: FloatArray, constraints: list[Constraint]) -> Candidate:
         """Make a candidate of the tracked motion and constraints, beginning at poses (T, 3)."""
@@ -480,7 +485,7 @@ class _Refinement:
         return replace(graph, information=information, measurements=measurements)
 
 
-def _moved_m(candidate: Candidate, other: Candidate) -> float:
+def _moved_m(candidate: Candidate | Adjusted, other: Candidate | Adjusted) -> float:
     """Return the greatest distance (m) of a key scan from where another candidate has it."""
     return float(np.hypot(*(candidate.graph.poses - other.graph.poses)[:, :2].T).max())
 

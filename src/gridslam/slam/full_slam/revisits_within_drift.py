@@ -36,8 +36,8 @@ _MAX_HYPOTHESES = 4
 
 def propose_revisits(
     closure_state: LoopClosureState,
-    stretches: SubmapPairs,
     mapper: OccupancyGridMapping,
+    stretches: SubmapPairs,
     closure: LoopClosure,
     on_progress: Callable[[], None],
     searched: int = 0,
@@ -52,10 +52,10 @@ def propose_revisits(
     ----------
     closure_state
         Key scans, and the graph with the poses of which the map is drawn; it predicts where each stretch lies, too.
-    stretches
-        Short submaps, cut so far; modified.
     mapper
         How the map is drawn.
+    stretches
+        Short submaps, cut so far; modified.
     closure
         Place recognition.
     on_progress
