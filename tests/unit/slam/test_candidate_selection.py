@@ -102,6 +102,7 @@ def test_what_changes_the_trajectory_is_compared_with_it(monkeypatch, places, he
     refinement = begin()
     assert refinement.select(np.zeros((2, 3))).name == best
     assert len(names) == searches
+    assert "filter" in refinement.adjusted, "places are compared with the adjusted trajectory"
     assert taken[1:] == ([list(kept)] if kept else [])
     assert refinement.closure_state.rejected[RejectionReason.IMPLAUSIBLE] == (len(places) - len(kept) if kept else 0)
 

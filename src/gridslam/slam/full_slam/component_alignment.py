@@ -78,7 +78,7 @@ waits until the other one is known."""
 _WIDE = np.diag(1 / np.square([1.5, 1.5, 0.05]))
 """Information (1/m^2, 1/rad^2) of a place that furniture alone distinguishes from those beside."""
 _SURE = np.diag(1 / np.square([0.05, 0.05, 0.02]))
-"""Information of a place that is proposed: where a component starts from."""
+"""Information (1/m^2, 1/rad^2) of a place that is proposed: where a component starts from."""
 _CONSTRAINT_INTERVAL = 3
 """Key scans from one constraint to the next."""
 MIN_CONSTRAINTS = 3
@@ -153,8 +153,8 @@ def propose_alignments(
 ) -> list[Constraint]:
     """Propose where each component lies in an older one: the likeliest place, however little they share.
 
-    It may be wrong: a trajectory with what is proposed must have the better score. Parameters as of
-    `align_components`; `closure` has the places.
+    It may be wrong: a trajectory with what is proposed must have the better score. For the parameters see
+    `align_components`; key scans are matched by the places of `closure`.
     """
     likeliest: dict[int, tuple[float, Constraint]] = {}
     for _, new, alignment, hypotheses in _hypothesize(

@@ -449,10 +449,9 @@ class _Refinement:
             return best
         poses = SOLVER.solve(self._graph(best.graph.poses, [*found, *known])).poses
         other = self._keep_trajectory(name, poses, best.recognized_constraints)
-        is_better = _moved_m(other, self.adjust(best)) > _AGREE_M and self._log_likelihood(
-            other
-        ) > self._log_likelihood(best)
-        return other if is_better else best
+        if _moved_m(other, self.adjust(best)) <= _AGREE_M:
+            return best
+        return max(best, other, key=self._log_likelihood)
 
     def _optimize(self, name: str, poses: FloatArray, constraints: list[Constraint]) -> Candidate:
         """Make a candidate of the tracked motion and constraints, beginning at poses (T, 3)."""
