@@ -88,11 +88,11 @@ class MotionThreshold:
     translation_m : float > 0, m
         0.5: ten cells of a grid of 5 cm, while neighbouring scans still see nearly the same walls.
     rotation_rad : float > 0, rad
-        0.25 (14 degrees): a laser that sees half the plane still keeps nine tenths of its view.
+        0.5 (29 degrees): a laser that sees half the plane still keeps five sixths of its view.
     """
 
     translation_m: float = bounded(0.5, ge=1e-12, le=math.inf, allow_inf_nan=True)
-    rotation_rad: float = bounded(0.25, ge=1e-12, le=math.inf, allow_inf_nan=True)
+    rotation_rad: float = bounded(0.5, ge=1e-12, le=math.inf, allow_inf_nan=True)
 
     def __call__(self, translation_m: float, rotation_rad: float) -> bool:
         """Return whether the translation (m) or the magnitude of the rotation (rad) has reached its threshold."""

@@ -36,13 +36,13 @@ def test_resampling_policies() -> None:
 
 
 def test_update_policy() -> None:
-    moved = MotionThreshold(translation_m=0.5, rotation_rad=0.25)
+    moved = MotionThreshold(translation_m=0.5, rotation_rad=0.5)
     assert isinstance(moved, UpdatePolicy)
     assert moved == MotionThreshold()
-    assert not moved(0.49, 0.24)
+    assert not moved(0.49, 0.49)
     assert moved(0.5, 0.0)
-    assert moved(0.0, 0.25)
-    assert moved(0.0, -0.25)
+    assert moved(0.0, 0.5)
+    assert moved(0.0, -0.5)
     assert not MotionThreshold(translation_m=math.inf)(1e9, 0.0)
 
 

@@ -33,11 +33,11 @@ _NEAR_M = 5.0
 _NEAR_RAD = 0.5
 """So far from a pose that was given the drive may begin."""
 
-_FIRST_KEY_SCANS = 12
-"""A drive is not compared before it has this many key scans, about 5 m: less of it looks alike in too many places."""
+_FIRST_M = 5.0
+"""A drive is not compared before this way: less of it looks alike in too many places."""
 
-_LAST_KEY_SCANS = 90
-"""Key scans, about 40 m, by which a drive is located: its way before may lie beyond the map."""
+_LAST_M = 40.0
+"""Way by which a drive is located: its way before may lie beyond the map."""
 
 _COMPARED = 4
 _COMPARED_AT_A_TIME = 2
@@ -45,10 +45,10 @@ _SHARES = 2 + _COMPARED // _COMPARED_AT_A_TIME
 """Hypotheses that are compared, and key scans over which the work is spread: one searches, in 20 ms, some compare two
 hypotheses each, in 15 ms each, and the last one decides, in 40 ms."""
 
-_EAGER_KEY_SCANS = 51
+_EAGER_M = 22.0
 _INTERVAL = 4 * _SHARES
-"""Up to the first number of key scans one search follows the other, later they begin this many key scans apart: even in
-rooms that are all alike, searching then costs little more than mapping."""
+"""Up to this way one search follows the other, later they begin this many key scans apart: even in rooms that are all
+alike, searching then costs little more than mapping."""
 
 _ALIGNED = 45
 """Key scans of a drive, spread evenly, that are laid on a piece."""
@@ -113,13 +113,14 @@ class EarlierPieces:
 
     def locate(self, closure_state: LoopClosureState) -> FoundPiece | None:
         """Do the newest key scan's share of the search, and give the piece in which the drive so far is found."""
-        newest = len(closure_state.graph) - 1
-        begins = _list_begins(newest)
+        way = closure_state.graph.driven_m()
+        newest = len(way) - 1
+        begins = _list_begins(way)
         if not begins:
             return None
         last = begins[-1]
         number = (len(begins) - 1) % self._turns
-        keys = closure_state.graph.select_without_gap(np.arange(max(0, last + 1 - _LAST_KEY_SCANS), last + 1), last)
+        keys = closure_state.graph.select_without_gap(_select_last(way[: last + 1], _LAST_M), last)
         known = _tracked_at(closure_state.graph, keys)
         if known != self._known:
             self._known, self._done = known, []
@@ -159,7 +160,8 @@ class EarlierPieces:
     ) -> Iterator[_Aligned | None]:
         """Align key scans (K,) with a piece, one share of the work after the other."""
         graph, piece = closure_state.graph, self.pieces[number]
-        searched = [key for key in _list_begins(int(keys[-1]))[number :: self._turns] if key >= keys[0]]
+        begins = _list_begins(graph.driven_m()[: keys[-1] + 1])
+        searched = [key for key in begins[number :: self._turns] if key >= keys[0]]
         hits = [hit for key in searched for hit in self._search(closure_state, number, key)]
         groups = group_hits(graph, [hit for hit in hits if hit.key >= keys[0]])
         yield None
@@ -182,9 +184,7 @@ class EarlierPieces:
     def _search(self, closure_state: LoopClosureState, number: int, key: int) -> list[SearchHit]:
         """Search a piece for the submap that ends at a key scan: where most of its points agree."""
         graph = closure_state.graph
-        keys = graph.select_without_gap(np.arange(max(0, key + 1 - _LAST_KEY_SCANS), key + 1), key)
-        way = graph.driven_m()[keys]
-        keys = keys[way >= way[-1] - LENGTH_M]
+        keys = graph.select_without_gap(_select_last(graph.driven_m()[: key + 1], LENGTH_M), key)
         known = (number, key, _tracked_at(graph, keys))
         if known not in self._hits:
             submap = Submap.of(graph, int(keys[len(keys) // 2]), keys, closure_state.scans, self._mapper)
@@ -213,7 +213,12 @@ def _tracked_at(graph: KeyGraph, keys: IntArray) -> bytes:
     return np.array([graph.tracked[key] for key in keys.tolist()]).tobytes()
 
 
-def _list_begins(newest: int) -> list[int]:
-    """Key scans up to the newest one at which a search begins."""
-    eager = range(_FIRST_KEY_SCANS - 1, min(_EAGER_KEY_SCANS, newest + 1), _SHARES)
-    return [*eager, *range(_EAGER_KEY_SCANS, newest + 1, _INTERVAL)]
+def _select_last(way: FloatArray, metres: float) -> IntArray:
+    """Select the key scans of the last metres of a way, given the metres driven (T,) up to each."""
+    return np.flatnonzero(way >= way[-1] - metres)
+
+
+def _list_begins(way: FloatArray) -> list[int]:
+    """List the key scans at which a search begins, given the metres driven (T,) up to each."""
+    first, late = np.searchsorted(way, [_FIRST_M, _EAGER_M]).tolist()
+    return [*range(first, late, _SHARES), *range(late, len(way), _INTERVAL)]
