@@ -25,12 +25,12 @@ def seen():
     return hall.key_scans(hall.drive(1))
 
 
-def drive(seen, first, last, frame, gap=-1):
-    """Key scans `first` to `last` - 1 as they were tracked from another origin, blindly to number `gap` of them."""
+def drive(seen, first, last, frame, gap=-1, step=1):
+    """Every `step`-th key scan from `first` to `last` - 1 as tracked from another origin, blindly to the `gap`-th."""
     closure_state = LoopClosureState()
-    poses = compose(between(frame, np.zeros(3)), seen.truth[first:last])
+    poses = compose(between(frame, np.zeros(3)), seen.truth[first:last:step])
     for k, pose in enumerate(poses):
-        closure_state.scans.append(seen.beams[first + k], pose, is_key=True)
+        closure_state.scans.append(seen.beams[first + step * k], pose, is_key=True)
         closure_state.graph.extend(pose, pose, (2.0, 1.0) if k == gap else DriftModel().variances(0.4, 0.1))
     return closure_state
 
@@ -107,6 +107,21 @@ def test_a_pose_that_is_known_bounds_the_search(seen):
     begin = compose(seen.truth[LAP], [2.0, -1.0, 0.2])
     assert missed(found_after(locator([lap(seen)], begin), later)[1], seen, LAP)[0] < 0.1
     assert found_after(locator([lap(seen)], compose(begin, [10.0, 0.0, 0.0])), later) is None
+
+
+@pytest.mark.parametrize("step", [1, 2, 3])
+def test_the_search_begins_after_as_many_metres_however_dense_key_scans_are(seen, monkeypatch, step):
+    searched = []
+    monkeypatch.setattr(MapSearch, "__call__", lambda *_: searched.append(1) or [])
+    later = drive(seen, LAP, len(seen.truth), ELSEWHERE, step=step)
+    way = later.graph.driven_m()
+    earlier = locator([lap(seen)])
+    for count in range(1, len(way) + 1):
+        graph = later.graph.snapshot()
+        graph.truncate(count)
+        earlier.locate(LoopClosureState(scans=later.scans, graph=graph))
+        assert bool(searched) == (way[count - 1] >= 5.0)
+    assert len(searched) >= 3
 
 
 def test_a_drive_that_is_resumed_is_found_at_the_same_key_scan(seen):

@@ -34,10 +34,10 @@ _NEAR_RAD = 0.5
 """So far from a pose that was given the drive may begin."""
 
 _FIRST_M = 5.0
-"""A drive is not compared before this way: less of it looks alike in too many places."""
+"""A drive is not compared before this many metres: less of it looks alike in too many places."""
 
 _LAST_M = 40.0
-"""Way by which a drive is located: its way before may lie beyond the map."""
+"""Last metres of a drive by which it is located: its way before may lie beyond the map."""
 
 _COMPARED = 4
 _COMPARED_AT_A_TIME = 2
@@ -47,8 +47,8 @@ hypotheses each, in 15 ms each, and the last one decides, in 40 ms."""
 
 _EAGER_M = 22.0
 _INTERVAL = 4 * _SHARES
-"""Up to this way one search follows the other, later they begin this many key scans apart: even in rooms that are all
-alike, searching then costs little more than mapping."""
+"""Up to the first number of metres one search follows the other, later they begin this many key scans apart: even in
+rooms that are all alike, searching then costs little more than mapping."""
 
 _ALIGNED = 45
 """Key scans of a drive, spread evenly, that are laid on a piece."""
