@@ -1,27 +1,31 @@
 """Do covariances mean something? Average NEES against simulated truth, online and final, in eight kinds of worlds.
 
-    python benchmarks/covariances.py [KIND ...] [--seeds 20] [--first 101]
+    python benchmarks/covariances.py [KIND or LOG ...] [--seeds 20] [--first 101]
         [--set NAME=VALUE ...] [--out FILE]
 
 Each drive is mapped with the defaults. NEES is taken of every pose after the first tenth of the drive, in the frame of
 the first pose, which is given; its expectation is 3, and 95 of 100 should lie below 7.81. The parameters of the
-covariances were set on the seeds 1 to 12.
+covariances were set on the seeds 1 to 12. Of a real log the seeds are those of the filter, and its online poses are
+compared with its final ones, which err much less.
 """
 
 from __future__ import annotations
 
 import zlib
 from collections.abc import Sequence
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from aliasing_worlds import make_world
+from gridslam import map_log
 from gridslam.config import Configuration, override
 from gridslam.evaluation import nees
 from gridslam.geometry.se2 import between
 from gridslam.io.measurement import Measurement
 from gridslam.sim import LidarConfig, OdometryNoise, RobotConfig, simulate
+from gridslam.types import FloatArray, StepReport
 from measure import make_parser, write_document
 from report import table
 from simulated import map_drive, thin
@@ -60,24 +64,37 @@ def judge(kind: str, seed: int, configuration: Configuration | None = None) -> d
     measurements, truth = simulated(kind, seed)
     reports, full = map_drive(measurements, configuration or Configuration(), seed)
     true = between(truth[0], truth)
+    found = {"kind": kind, "seed": seed} | rate("online", *online(reports), true)
+    found |= rate("final", full.poses, full.covariances, true)
+    return found | {"rmse_m": float(np.sqrt(np.square((full.poses - true)[:, :2]).sum(axis=1).mean()))}
+
+
+def judge_log(path: str, seed: int, configuration: Configuration) -> dict[str, Any]:
+    """Map a real log; the same of its online poses against its final ones."""
+    reports: list[StepReport] = []
+    observers = [lambda report, state, seconds: reports.append(report)]
+    final = map_log(path, configuration=configuration, seed=seed, keep_particles=False, observers=observers)
+    poses, covariances = online(reports)
+    true = between(final.trajectory.poses[0], final.trajectory.poses)
+    return {"kind": Path(path).name, "seed": seed} | rate("online", between(poses[0], poses), covariances, true)
+
+
+def online(reports: Sequence[StepReport]) -> tuple[FloatArray, FloatArray]:
+    """Poses (N, 3) and covariances (N, 3, 3) of reports."""
+    return np.array([report.pose for report in reports]), np.array([report.covariance for report in reports])
+
+
+def rate(name: str, poses: FloatArray, covariances: FloatArray, true: FloatArray) -> dict[str, Any]:
+    """Average NEES and percentage below the quantile."""
     judged = slice(len(true) // 10, None)
-    poses = np.array([report.pose for report in reports])
-    covariances = np.array([report.covariance for report in reports])
-    squares = {
-        "online": nees(poses[judged], true[judged], covariances[judged]),
-        "final": nees(full.poses[judged], true[judged], full.covariances[judged]),
-    }
-    found: dict[str, Any] = {"kind": kind, "seed": seed}
-    for name, of in squares.items():
-        found |= {f"{name}_nees": float(of.mean()), f"{name}_inside": float(100 * (of < QUANTILE).mean())}
-    found["rmse_m"] = float(np.sqrt(np.square((full.poses - true)[:, :2]).sum(axis=1).mean()))
-    return found
+    squares = nees(poses[judged], true[judged], covariances[judged])
+    return {f"{name}_nees": float(squares.mean()), f"{name}_inside": float(100 * (squares < QUANTILE).mean())}
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
     """Print a row for each kind, and write all drives."""
     parser = make_parser(__doc__)
-    parser.add_argument("kinds", nargs="*", metavar="KIND", help=f"{', '.join(WORLDS)} [all of them]")
+    parser.add_argument("kinds", nargs="*", metavar="KIND", help=f"{', '.join(WORLDS)} [all of them], or a log")
     parser.add_argument("--seeds", type=int, default=20, help="drives of each kind [20]")
     parser.add_argument("--first", type=int, default=101, help="first seed [101]")
     parser.add_argument("--set", action="append", default=[], metavar="NAME=VALUE", help="of the simulated drives")
@@ -87,8 +104,10 @@ def main(arguments: Sequence[str] | None = None) -> None:
     rows, drives = [], []
     for kind in given.kinds or WORLDS:
         seeds = range(given.first, given.first + given.seeds)
-        drives += (of_kind := [judge(kind, seed, configuration) for seed in seeds])
-        rows.append([kind, *(f"{np.mean([drive[name] for drive in of_kind]):.3g}" for name in columns)])
+        of_kind = [(judge if kind in WORLDS else judge_log)(kind, seed, configuration) for seed in seeds]
+        drives += of_kind
+        means = [np.mean([drive.get(name, np.nan) for drive in of_kind]) for name in columns]
+        rows.append([of_kind[0]["kind"], *("-" if np.isnan(mean) else f"{mean:.3g}" for mean in means)])
         print(*rows[-1], sep="  ", flush=True)
     print(text := table(["kind", *columns], rows))
     write_document(given.out, table=text.splitlines(), drives=drives)
