@@ -404,7 +404,8 @@ def _band_percent(image: MapImage, description: MapDescription, strict_threshold
     if description.mode == "raw":
         percent = np.rint(image.brightness)
         return np.where(percent <= 100, percent, -1)
-    darkness = _darkness(image, description)
+    brightness = image.brightness.astype(np.float64)
+    darkness = (brightness if description.negate else 255 - brightness) / 255  # 1 as an occupied one
     low = description.free_thresh
     high = description.occupied_thresh
     between = -1.0 if description.mode == "trinary" else np.rint(100 * (darkness - low) / (high - low))
@@ -417,17 +418,10 @@ def _band_percent(image: MapImage, description: MapDescription, strict_threshold
 
 def unknown_read_as_free(image: MapImage, description: MapDescription) -> NDArray[np.bool_]:
     """Return which pixels (H, W) savers write for unknown, but the file's thresholds, read literally, make free."""
-    if description.mode != "trinary" or description.negate:
-        return np.zeros(image.opaque.shape, np.bool_)
-    if description.free_thresh <= (255 - _UNKNOWN) / 255:
-        return np.zeros(image.opaque.shape, np.bool_)
-    return np.asarray(image.opaque & (image.brightness == _UNKNOWN))
-
-
-def _darkness(image: MapImage, description: MapDescription) -> NDArray[np.float64]:
-    """0 where a pixel is as a free one, 1 where it is as an occupied one."""
-    brightness = image.brightness.astype(np.float64)
-    return (brightness if description.negate else 255 - brightness) / 255
+    is_read_as_free = description.free_thresh > (255 - _UNKNOWN) / 255
+    if description.mode == "trinary" and not description.negate and is_read_as_free:
+        return np.asarray(image.opaque & (image.brightness == _UNKNOWN))
+    return np.zeros(image.opaque.shape, np.bool_)
 
 
 def _log_odds(probability: float) -> float:
