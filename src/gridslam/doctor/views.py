@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gridslam.doctor.range_units import measured_beams
-from gridslam.doctor.scan_prediction import FEWEST_BEAMS, PolarScan, find_disagreement, log_ratios, move_laser
+from gridslam.doctor.scan_prediction import FEWEST_BEAMS, PolarScan, find_disagreement, log_ratios
 from gridslam.geometry.se2 import between
 from gridslam.types import BeamStatus, FloatArray, LaserScan
 
@@ -71,8 +71,7 @@ class View:
         """How badly the scan agrees with one from before; NaN or infinite where they have too little in common."""
         if self.polar is None or before.polar is None:
             return math.nan
-        moved = move_laser(before.polar, self.polar, between(before.pose, self.pose))
-        return find_disagreement(before.polar, self.polar, moved)
+        return find_disagreement(before.polar, self.polar, between(before.pose, self.pose))
 
     def is_both_sides_of(self, before: View) -> bool:
         """Return whether many beams end nearer, and many farther than by the view from before.
@@ -81,8 +80,7 @@ class View:
         """
         if self.polar is None or before.polar is None:
             return False
-        moved = move_laser(before.polar, self.polar, between(before.pose, self.pose))
-        ratios = log_ratios(before.polar, self.polar, moved)
+        ratios = log_ratios(before.polar, self.polar, between(before.pose, self.pose))
         low, high = np.quantile(ratios, [_MANY, 1 - _MANY]) if len(ratios) else (0.0, 0.0)
         return bool(low < -_SIDE and high > _SIDE)
 
