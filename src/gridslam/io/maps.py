@@ -339,27 +339,22 @@ def read_map_image(path: str | Path) -> MapImage:
     InputError
         There is no such file, it is no image, one with colours, or larger than `open_image` allows.
     """
-    with open_image(path, _BYTES_PER_PIXEL) as image:
-        return _read_bands(path, image)
-
-
-def _read_bands(path: str | Path, image: Image) -> MapImage:
-    """Return brightness and opacity, some rows at a time."""
-    width, height = image.size
-    transparent = "A" in image.getbands() or "transparency" in image.info
-    opaque = np.ones((height, width), np.bool_)
     brightness: NDArray[Any] | None = None
     coloured = 0
-    for top in range(0, height, _BAND):
-        band = image.crop((0, top, width, min(top + _BAND, height)))
-        band.info = image.info
-        if transparent:
-            opaque[top : top + _BAND] = np.asarray(band.convert("RGBA"))[:, :, 3] == 255
-        grey, colours = _brightness(band)
-        coloured += colours
-        if brightness is None:
-            brightness = np.empty((height, width), grey.dtype)
-        brightness[top : top + _BAND] = grey
+    with open_image(path, _BYTES_PER_PIXEL) as image:
+        width, height = image.size
+        transparent = "A" in image.getbands() or "transparency" in image.info
+        opaque = np.ones((height, width), np.bool_)
+        for top in range(0, height, _BAND):
+            band = image.crop((0, top, width, min(top + _BAND, height)))
+            band.info = image.info
+            if transparent:
+                opaque[top : top + _BAND] = np.asarray(band.convert("RGBA"))[:, :, 3] == 255
+            grey, colours = _brightness(band)
+            coloured += colours
+            if brightness is None:
+                brightness = np.empty((height, width), grey.dtype)
+            brightness[top : top + _BAND] = grey
     if coloured:
         raise InputError(path, f"expected a grey image, got colours in {coloured} of {width * height} pixels")
     if brightness is None:

@@ -157,10 +157,7 @@ def write_trajectory_csv(path: str | Path, trajectory: Trajectory, covariances: 
     if covariances.shape != (len(trajectory), 3, 3):
         raise ArgumentError("covariances", f"shape ({len(trajectory)}, 3, 3)", covariances.shape)
     values = np.concatenate([trajectory.poses, upper_of_symmetric(covariances)], axis=1)
-    lines = _format_rows(_CSV_ROW, trajectory.stamps_ns, values)
-    with Path(path).open("wb") as file:
-        file.write(f"{CSV_HEADER}\n".encode())
-        file.write(lines)
+    Path(path).write_bytes(f"{CSV_HEADER}\n".encode() + _format_rows(_CSV_ROW, trajectory.stamps_ns, values))
 
 
 def read_trajectory_csv(path: str | Path) -> tuple[Trajectory, FloatArray]:

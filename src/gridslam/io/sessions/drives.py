@@ -88,8 +88,7 @@ class Drive:
     @property
     def key_stamps_ns(self) -> IntArray:
         """Stamps of its key scans."""
-        stamps: IntArray = self.stamps_ns[np.flatnonzero(np.diff(self.scans.keys, prepend=-1))]
-        return stamps
+        return np.asarray(self.stamps_ns[np.flatnonzero(np.diff(self.scans.keys, prepend=-1))])
 
 
 @final
