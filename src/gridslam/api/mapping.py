@@ -498,7 +498,7 @@ def map_log(
     carried: dict[str, str] = {}
 
     def note_break(finding: Finding) -> None:
-        carried[f"{finding.code} ({finding.sensor})"] = finding.message
+        carried[finding.title] = finding.message
         on_finding(finding)
 
     drives = split_where_carried(source, note_break)

@@ -57,7 +57,14 @@ def run_job(job: Job, out: Path, stopped: threading.Event, *, timeout_s: float |
         The row of the journal: its columns, ``document`` an object or None. Every outcome of the child is a row with
         status "failed", a named ``error`` and the last bytes of its output.
     """
-    row = start_row(job) | {"started": datetime.now(timezone.utc).isoformat(timespec="milliseconds")}
+    row: dict[str, Any] = dict.fromkeys(COLUMNS) | {
+        "key": job.key,
+        "command": job.command,
+        "log": job.log,
+        "folder": job.folder,
+        "status": "failed",
+        "started": datetime.now(timezone.utc).isoformat(timespec="milliseconds"),
+    }
     began = time.monotonic()
     due = math.inf if timeout_s is None else began + timeout_s
     folder = out / job.folder
@@ -83,12 +90,6 @@ def run_job(job: Job, out: Path, stopped: threading.Event, *, timeout_s: float |
         remove_abandoned(where, job.folder)
     error, message = _name_failure(end, timeout_s)
     return row | {"error": error, "message": message}
-
-
-def start_row(job: Job) -> dict[str, Any]:
-    """Return the row of a job that has not ended yet."""
-    own = {"key": job.key, "command": job.command, "log": job.log, "folder": job.folder}
-    return dict.fromkeys(COLUMNS) | own | {"status": "failed"}
 
 
 def _read_document(end: _End) -> dict[str, Any] | None:

@@ -145,12 +145,9 @@ def apply_laser(config: Configuration, name: str) -> Configuration:
         raise ConfigurationError(f"laser: expected {', '.join(LASERS)}, got {name!r}{suggest_names(name, LASERS)}")
     laser = LASERS[name]
     changes: Table = {"range_min_m": laser.range_min_m, "range_max_m": laser.range_max_m}
-    matching = [part for part in ("tracker", "proposal") if isinstance(_matcher(config, part), GaussNewton)]
+    matchers = {part: getattr(getattr(config, part), "matcher", None) for part in ("tracker", "proposal")}
+    matching = [part for part, matcher in matchers.items() if isinstance(matcher, GaussNewton)]
     if laser.fine and len(matching) == 2:
         changes["mapper"] = {"resolution_m": _FINE_CELL_M}
         changes |= {part: {"matcher": {"cauchy_m": _FINE_CAUCHY_M}} for part in matching}
     return replace_parameters(config, changes)
-
-
-def _matcher(config: Configuration, part: str) -> object:
-    return getattr(getattr(config, part), "matcher", None)

@@ -25,7 +25,7 @@ from gridslam.doctor.intervals import Intervals, cumulative_headings, interpolat
 from gridslam.doctor.laser_motion import LaserMotion
 from gridslam.doctor.mirrored_odometry import Mirrored, contradicts_its_heading, unmirror_odometry
 from gridslam.geometry.angles import wrap
-from gridslam.geometry.se2 import adjoint
+from gridslam.geometry.se2 import adjoint, transform_points
 from gridslam.types import FloatArray
 
 _FEWEST = 8  # intervals
@@ -249,11 +249,9 @@ def _improves(reported: FloatArray, predicted: FloatArray, yaw_rad: float) -> bo
 
 def _chords(ways: Intervals, laser: FloatArray) -> FloatArray:
     """Return odometry of the paths (N, 2), corrected for the wrong rotation that bends them."""
-    bend = -0.5 * wrap(ways.odometry[:, 2] - laser[:, 2])
-    c = np.cos(bend)
-    s = np.sin(bend)
-    x, y = ways.odometry[:, :2].T
-    return np.stack([c * x - s * y, s * x + c * y], axis=1)
+    bends = np.zeros_like(laser)
+    bends[:, 2] = -0.5 * wrap(ways.odometry[:, 2] - laser[:, 2])
+    return transform_points(bends, ways.odometry[:, :2])
 
 
 def _ways(

@@ -389,5 +389,5 @@ class CheckedLog:
         if self._log.statistics.clock_offset_s:
             found = tuple(finding for finding in found if finding.code not in _OF_TWO_CLOCKS)
         if found:
-            self._faults |= {f"{f.code} ({f.sensor})" if f.sensor else f.code: f.message for f in found}
+            self._faults |= {finding.title: finding.message for finding in found}
             self._on_findings(found)

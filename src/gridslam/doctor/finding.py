@@ -66,6 +66,11 @@ class Finding:
         """Whether it is more than information."""
         return self.severity is not Severity.INFO
 
+    @property
+    def title(self) -> str:
+        """The code, and the laser that it is about."""
+        return f"{self.code} ({self.sensor})" if self.sensor else self.code
+
 
 def percent(share: float) -> str:
     """Format a ratio: enough digits not to print 0 % or 100 % for other values."""

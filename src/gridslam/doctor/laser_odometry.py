@@ -49,19 +49,6 @@ class LaserOdometry:
         Number of times that the track was lost and restarted.
     """
 
-    __slots__ = (
-        "_active",
-        "_backward",
-        "_inserted",
-        "_maps",
-        "_period_s",
-        "_scans",
-        "_stamp_ns",
-        "_twist",
-        "pose",
-        "track",
-    )
-
     def __init__(self) -> None:
         """Wait for the first scan."""
         self._maps = OccupancyGridMapping(inverse_sensor=_EVIDENCE).empty(2)

@@ -116,16 +116,15 @@ class BeamStatistics:
             )
         elif share > _MANY_LOST:
             message += "; they lie side by side, as where nothing is in reach or the robot hides the view"
-        remedy = (
-            "Clean the laser, and look for what disturbs it: sun, dark or shining surfaces, another laser, a cable."
-        )
         return Finding(
             "invalid_beams",
             Severity.WARNING if many else Severity.INFO,
             message + ".",
             share,
             "share",
-            remedy if many else "",
+            "Clean the laser, and look for what disturbs it: sun, dark or shining surfaces, another laser, a cable."
+            if many
+            else "",
             sensor,
         )
 

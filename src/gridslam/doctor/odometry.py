@@ -105,9 +105,14 @@ class OdometryExaminer:
             yield self._odometry_frozen()
         known = 0 if self._jumps or self._frozen else self.scans - self.without
         if known > _FEWEST_MOVES and max(self.metres, self.radians) < _NEVER_MOVED:
-            message = f"The robot never moves (odometry: {self.metres:.2f} m): there is only one view to map."
-            remedy = "Record while the robot drives."
-            yield Finding("standing_still", Severity.WARNING, message, self.metres, "m", remedy)
+            yield Finding(
+                "standing_still",
+                Severity.WARNING,
+                f"The robot never moves (odometry: {self.metres:.2f} m): there is only one view to map.",
+                self.metres,
+                "m",
+                "Record while the robot drives.",
+            )
 
     def _no_odometry(self) -> Finding:
         share = self.without / self.scans
@@ -146,13 +151,15 @@ class OdometryExaminer:
         )
 
     def _odometry_frozen(self) -> Finding:
-        severity = Severity.ERROR if self._frozen_s > _FROZEN_SHARE * self._watched_s else Severity.WARNING
-        message = (
+        return Finding(
+            "odometry_frozen",
+            Severity.ERROR if self._frozen_s > _FROZEN_SHARE * self._watched_s else Severity.WARNING,
             f"For {self._frozen_s:.0f} of {self._watched_s:.0f} s odometry stood still while the scans changed: it is "
-            "frozen."
+            "frozen.",
+            self._frozen_s,
+            "s",
+            "Look for what stops odometry on the robot; map with --no-odometry until then.",
         )
-        remedy = "Look for what stops odometry on the robot; map with --no-odometry until then."
-        return Finding("odometry_frozen", severity, message, self._frozen_s, "s", remedy)
 
 
 def _is_changed(before: LaserScan, after: LaserScan) -> bool:

@@ -10,7 +10,7 @@ from typing import NamedTuple, final
 import numpy as np
 
 from gridslam.doctor.finding import Finding, Severity, percent
-from gridslam.types import BeamStatus, FloatArray, IntArray, LaserScan
+from gridslam.types import BeamStatus, IntArray, LaserScan
 
 _BIN_M = 0.01
 _BINS = 20_000
@@ -49,7 +49,8 @@ class RangeCounts:
         self.range_min_m = scan.range_min_m
         self.range_max_m = scan.range_max_m
         hits = (scan.status == BeamStatus.HIT).nonzero()[0]
-        np.add.at(self._hits, (_bins(scan.ranges[hits]), hits * _SECTORS // max(len(scan), 1)), 1)
+        bins = (np.minimum(scan.ranges[hits], _BINS * _BIN_M) / _BIN_M + 0.5).astype(np.int64)
+        np.add.at(self._hits, (bins, hits * _SECTORS // max(len(scan), 1)), 1)
 
     def find_peak(self) -> _RangePeak | None:
         """Return the value near the far end at which hits pile up as walls never do, if there is one."""
@@ -104,8 +105,3 @@ class RangeCounts:
             remedy,
             sensor,
         )
-
-
-def _bins(ranges: FloatArray) -> IntArray:
-    bins: IntArray = (np.minimum(ranges, _BINS * _BIN_M) / _BIN_M + 0.5).astype(np.int64)
-    return bins

@@ -8,7 +8,6 @@ from typing import Final, final
 import numpy as np
 from numpy.typing import NDArray
 
-from gridslam.doctor.scan_prediction import FEWEST_BEAMS, PolarScan
 from gridslam.types import BeamStatus, FloatArray, LaserScan
 
 UNITS: Final = {"feet": 1 / 0.3048, "inches": 1 / 0.0254, "centimetres": 100.0, "millimetres": 1000.0}
@@ -47,12 +46,6 @@ def _without_codes(ranges: FloatArray, some: NDArray[np.bool_]) -> NDArray[np.bo
         return some
     greatest = some & (ranges >= _AT_GREATEST * ranges[some].max())
     return some & ~greatest if np.count_nonzero(greatest) > _MANY_AT_GREATEST * np.count_nonzero(some) else some
-
-
-def polar_scan(scan: LaserScan) -> PolarScan | None:
-    """Return the measured ranges of a scan by their bearings; None if they are too few."""
-    measured = measured_beams(scan)
-    return PolarScan(scan, measured) if np.count_nonzero(measured) >= FEWEST_BEAMS else None
 
 
 @final

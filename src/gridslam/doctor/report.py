@@ -49,13 +49,17 @@ def _finding(finding: Finding) -> dict[str, Any]:
 
 def text(diagnosis: Diagnosis) -> list[str]:
     """Format a diagnosis as lines for a terminal."""
-    lines = [_head(diagnosis), *(f"  {line}" for line in _facts(diagnosis))]
+    lines = [
+        f"{diagnosis.path.name}: {diagnosis.scans} scans in {diagnosis.statistics.duration_s:.0f} s, "
+        f"{diagnosis.metres:.1f} m and {math.degrees(diagnosis.radians):.0f} degrees of odometry",
+        *(f"  {line}" for line in _facts(diagnosis)),
+    ]
     for severity, head in _HEADS.items():
         found = [finding for finding in diagnosis.findings if finding.severity is severity]
         if found:
             lines += ["", f"{head}:"]
         for finding in found:
-            lines.append(f"  {_title(finding)}: {finding.message}")
+            lines.append(f"  {finding.title}: {finding.message}")
             lines += [f"    -> {finding.remedy}"] if finding.remedy else []
     return [*lines, "", verdict(diagnosis)]
 
@@ -76,14 +80,6 @@ def _count(number: int, noun: str) -> str:
     return f"{number} {noun}{'s' * (number != 1)}"
 
 
-def _head(diagnosis: Diagnosis) -> str:
-    turns = math.degrees(diagnosis.radians)
-    return (
-        f"{diagnosis.path.name}: {diagnosis.scans} scans in {diagnosis.statistics.duration_s:.0f} s, "
-        f"{diagnosis.metres:.1f} m and {turns:.0f} degrees of odometry"
-    )
-
-
 def _facts(diagnosis: Diagnosis) -> Iterator[str]:
     for sensor, facts in diagnosis.lasers.items():
         rate = "unknown rate" if facts["rate_hz"] is None else f"{facts['rate_hz']:.3g} scans/s"
@@ -100,7 +96,3 @@ def _facts(diagnosis: Diagnosis) -> Iterator[str]:
         tilt = f", tilted by {tilt_deg:.1f} degrees" if tilt_deg > _LEVEL_DEG else ""
         yaw_deg = math.degrees(at["yaw_rad"])
         yield f"  mounted at x {at['x_m']:.3f} m, y {at['y_m']:.3f} m, yaw {yaw_deg:.1f} degrees, {level}{tilt}"
-
-
-def _title(finding: Finding) -> str:
-    return f"{finding.code} ({finding.sensor})" if finding.sensor else finding.code

@@ -81,21 +81,16 @@ class PolarScan:
         return np.interp(bearings, self._bearings, self._nearness)
 
 
-def move_laser(first: PolarScan, second: PolarScan, motion: FloatArray) -> FloatArray:
-    """Motion (3,) of the laser between two scans, m and rad by the base's axes at the first, from that of the base."""
-    turn = adjoint(motion * [0.0, 0.0, 1.0])[:2, :2]
-    return np.array([*(motion[:2] + turn @ second.origin - first.origin), motion[2]])
-
-
 def find_disagreement(first: PolarScan, second: PolarScan, motion: FloatArray) -> float:
-    """Return how badly the second scan agrees with the first one, seen after a motion of the laser.
+    """Return how badly the second scan agrees with the first one, seen after a motion of the base.
 
     Parameters
     ----------
     first, second : PolarScan
         Each of at least `FEWEST_BEAMS` beams.
     motion : (3,) float64
-        Motion of the laser as `move_laser` gives it, m and rad. Turns that differ by up to 0.125 rad are tried, too.
+        Pose of the base at the second scan seen from the first, m and rad. Turns that differ by up to 0.125 rad are
+        tried, too.
 
     Returns
     -------
@@ -103,7 +98,7 @@ def find_disagreement(first: PolarScan, second: PolarScan, motion: FloatArray) -
         Median of the absolute logarithms of the ratio of predicted and measured range, at the best of all turns;
         infinite where less than half of the beams are in view of both.
     """
-    predicted = _predict(first, motion)
+    predicted = _predict(first, second, motion)
     best = _COARSE_RAD[_medians(second, *predicted, _COARSE_RAD).argmin()]
     return float(_medians(second, *predicted, best + _FINE_RAD).min())
 
@@ -113,14 +108,16 @@ def log_ratios(first: PolarScan, second: PolarScan, motion: FloatArray) -> Float
 
     Those of beams in view of both; below 0 where the second scan sees farther than the first one.
     """
-    ranges, bearings = _predict(first, motion)
+    ranges, bearings = _predict(first, second, motion)
     ratios = np.log(ranges * second.nearness_at(bearings))
     return np.asarray(ratios[np.isfinite(ratios)])
 
 
-def _predict(first: PolarScan, motion: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Return ranges and bearings (K,) of the ends of a scan after a motion of the laser."""
-    moved = (first.ends - motion[:2]) @ adjoint([0.0, 0.0, motion[2]])[:2, :2]
+def _predict(first: PolarScan, second: PolarScan, motion: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return ranges and bearings (K,) of the ends of a scan from the laser of the second one, by the base's motion."""
+    turn = adjoint(motion * [0.0, 0.0, 1.0])[:2, :2]
+    way = motion[:2] + turn @ second.origin - first.origin  # of the laser
+    moved = (first.ends - way) @ turn
     return np.maximum(np.hypot(moved[:, 0], moved[:, 1]), _NEAREST), np.arctan2(moved[:, 1], moved[:, 0])
 
 

@@ -4,14 +4,15 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from dataclasses import dataclass
 from functools import cached_property
 from typing import Final, final
 
 import numpy as np
 from numpy.typing import NDArray
 
-from gridslam.doctor.range_units import polar_scan
-from gridslam.doctor.scan_prediction import PolarScan, find_disagreement, log_ratios, move_laser
+from gridslam.doctor.range_units import measured_beams
+from gridslam.doctor.scan_prediction import FEWEST_BEAMS, PolarScan, find_disagreement, log_ratios
 from gridslam.geometry.se2 import between
 from gridslam.types import BeamStatus, FloatArray, LaserScan
 
@@ -32,13 +33,12 @@ _SIDE = 0.05  # of the logarithms: that much nearer, or farther
 
 
 @final
+@dataclass(frozen=True, eq=False)
 class View:
     """A scan with the pose (3,) of the odometry; its ranges are ordered by bearing once they are needed."""
 
-    def __init__(self, pose: FloatArray, scan: LaserScan) -> None:
-        """Keep both as they are."""
-        self.pose = pose
-        self.scan = scan
+    pose: FloatArray
+    scan: LaserScan
 
     @cached_property
     def measured(self) -> FloatArray:
@@ -48,7 +48,8 @@ class View:
     @cached_property
     def polar(self) -> PolarScan | None:
         """The measured ranges by their bearings; None if they are too few."""
-        return polar_scan(self.scan)
+        measured = measured_beams(self.scan)
+        return PolarScan(self.scan, measured) if np.count_nonzero(measured) >= FEWEST_BEAMS else None
 
     def is_changed_from(self, before: View) -> bool:
         """Return whether more than half of the ranges are others than before, beam by beam and by the turn of both."""
@@ -70,8 +71,7 @@ class View:
         """How badly the scan agrees with one from before; NaN or infinite where they have too little in common."""
         if self.polar is None or before.polar is None:
             return math.nan
-        moved = move_laser(before.polar, self.polar, between(before.pose, self.pose))
-        return find_disagreement(before.polar, self.polar, moved)
+        return find_disagreement(before.polar, self.polar, between(before.pose, self.pose))
 
     def is_both_sides_of(self, before: View) -> bool:
         """Return whether many beams end nearer, and many farther than by the view from before.
@@ -80,8 +80,7 @@ class View:
         """
         if self.polar is None or before.polar is None:
             return False
-        moved = move_laser(before.polar, self.polar, between(before.pose, self.pose))
-        ratios = log_ratios(before.polar, self.polar, moved)
+        ratios = log_ratios(before.polar, self.polar, between(before.pose, self.pose))
         low, high = np.quantile(ratios, [_MANY, 1 - _MANY]) if len(ratios) else (0.0, 0.0)
         return bool(low < -_SIDE and high > _SIDE)
 

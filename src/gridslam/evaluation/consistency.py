@@ -42,5 +42,4 @@ def nees(estimates: FloatArray, truths: FloatArray, covariances: FloatArray) -> 
     except np.linalg.LinAlgError:
         raise ArgumentError("covariances", "positive definite matrices", "one that is not") from None
     whitened = np.linalg.solve(roots, errors[:, :, None])
-    squares: FloatArray = np.square(whitened[:, :, 0]).sum(axis=1)
-    return squares
+    return np.asarray(np.square(whitened[:, :, 0]).sum(axis=1))

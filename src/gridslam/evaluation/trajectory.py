@@ -171,8 +171,7 @@ def _compare_spans(estimate: Trajectory, stamps: IntArray) -> str:
     """Describe times that have nothing in common."""
     if not len(stamps) or not len(estimate):
         return "none"
-    spans = ((times.min() / 1e9, times.max() / 1e9) for times in (estimate.stamps_ns, stamps))
-    (first, last), (begin, end) = spans
+    (first, last), (begin, end) = ((of.min() / 1e9, of.max() / 1e9) for of in (estimate.stamps_ns, stamps))
     return f"none: from {first:.3f} to {last:.3f} s, and the reference from {begin:.3f} to {end:.3f} s"
 
 
@@ -266,12 +265,8 @@ def relative_errors_by_distance(
     first = np.flatnonzero(second < len(path))
     if len(first) == 0:
         raise ArgumentError("distance_m", f"at most the path's {path[-1]:.3f} m", distance_m)
-    return _relative(ours, truth, first, second[first])
-
-
-def _relative(ours: FloatArray, truth: FloatArray, first: IntArray, second: IntArray) -> PoseErrors:
-    true_step = between(truth[first], truth[second])
-    return PoseErrors.of(between(true_step, between(ours[first], ours[second])))
+    true_step = between(truth[first], truth[second[first]])
+    return PoseErrors.of(between(true_step, between(ours[first], ours[second[first]])))
 
 
 @final

@@ -60,6 +60,11 @@ def wrap(angle: float | NDArray[Any]) -> Any:
     return remainder - math.tau * turns
 
 
+def wrap_headings(poses: FloatArray) -> FloatArray:
+    """Return poses (N, 3) with headings in [-pi, pi)."""
+    return np.column_stack([poses[:, :2], wrap(poses[:, 2])])
+
+
 @checked
 def find_wrong_beam_angles(start: float, step: float, beams: int, end: float = math.nan) -> str:
     """Describe why no laser has such beams; empty for those of one.

@@ -129,16 +129,13 @@ class CsvLog:
         self.keep_truncated = keep_truncated
         self.statistics = LogStatistics(total_bytes=TextSource(path).total_bytes)
 
-    def _new_rows(self, statistics: LogStatistics) -> ForeignRows:
-        head = read_head(self.path, _HEAD_BYTES).decode("utf-8", "replace")
-        return find_foreign_rows(head, statistics) or _Rows(statistics)
-
     def __iter__(self) -> Iterator[Measurement]:
         """Read the log from its start."""
         source = TextSource(self.path)
         statistics = self.statistics = LogStatistics(total_bytes=source.total_bytes)
+        head = read_head(self.path, _HEAD_BYTES).decode("utf-8", "replace")
         try:
-            rows = self._new_rows(statistics)
+            rows = find_foreign_rows(head, statistics) or _Rows(statistics)
         except ValueError as error:
             raise InputError(self.path, str(error), 1) from None
         for lines in source:
@@ -165,13 +162,6 @@ class CsvLog:
         if measurement is not None:
             self.statistics.count(measurement)
             yield measurement
-
-
-class _CellError(ValueError):
-    """Raised for an unreadable cell; has its column, the expected and the actual content."""
-
-    def __init__(self, column: str, expected: str, got: str) -> None:
-        super().__init__(f"column {column}: expected {expected}, got {got}")
 
 
 @final
@@ -220,8 +210,8 @@ class _Rows(ForeignRows):
         if cells["time_increment_s"]:
             time = _number(cells, "time_increment_s")
             if not abs(time) * beams < LONGEST_SCAN_S:
-                got = f"{beams} beams in steps of {time:g} s"
-                raise _CellError("time_increment_s", f"a scan that takes less than {LONGEST_SCAN_S:g} s", got)
+                expected = f"expected a scan that takes less than {LONGEST_SCAN_S:g} s"
+                raise ValueError(f"column time_increment_s: {expected}, got {beams} beams in steps of {time:g} s")
             times = time * np.arange(beams)
         yaw = angles_of_rotation(mounting[:3, :3])[2]
         self._statistics.mountings[cells["sensor"]] = Mounting(np.array([x, y, yaw]), "line")
@@ -253,10 +243,8 @@ def _parse_header(text: str) -> list[str]:
 def _odometry(cells: _Cells, stamp_ns: int) -> Odometry | None:
     if not any(cells[name] for name in ODOMETRY):
         return None
-    pose = np.array([_within(FARTHEST_M, cells, name) for name in ODOMETRY])
-    pose[2] = wrap(pose[2])
-    pose.flags.writeable = False
-    return Odometry(_stamp(cells, "odom_stamp_s") if cells["odom_stamp_s"] else stamp_ns, pose)
+    x, y, theta = (_within(FARTHEST_M, cells, name) for name in ODOMETRY)
+    return Odometry.at(_stamp(cells, "odom_stamp_s") if cells["odom_stamp_s"] else stamp_ns, (x, y, wrap(theta)))
 
 
 def _split(line: str) -> list[str]:
@@ -280,14 +268,14 @@ def _number(cells: _Cells, column: str, least: float = -math.inf, *, infinite: b
     value = _float(cells[column])
     if value is None or not value >= least or (math.isinf(value) and not infinite):
         bound = "" if least == -math.inf else f" >= {least:g}"
-        raise _CellError(column, f"a number{bound}", repr(cells[column]))
+        raise ValueError(f"column {column}: expected a number{bound}, got {cells[column]!r}")
     return value
 
 
 def _within(limit: float, cells: _Cells, column: str) -> float:
     value = _number(cells, column)
     if not abs(value) <= limit:
-        raise _CellError(column, f"a number of at most {limit:g}", repr(cells[column]))
+        raise ValueError(f"column {column}: expected a number of at most {limit:g}, got {cells[column]!r}")
     return value
 
 
@@ -301,12 +289,13 @@ def _float(text: str) -> float | None:
 def _parse_ranges(text: str) -> list[float]:
     words = text.split()
     if not words:
-        raise _CellError("ranges_m", "at least one range", "none")
+        raise ValueError("column ranges_m: expected at least one range, got none")
     try:
         return [float(word) for word in words]
     except ValueError:
         place, word = next((place, word) for place, word in enumerate(words, 1) if _float(word) is None)
-        raise _CellError("ranges_m", "numbers with blanks between them", f"{word!r} as {place}.") from None
+        expected = "expected numbers with blanks between them"
+        raise ValueError(f"column ranges_m: {expected}, got {word!r} as {place}.") from None
 
 
 def _utf8(column: str, text: str) -> str:
@@ -314,7 +303,7 @@ def _utf8(column: str, text: str) -> str:
     try:
         return text.encode("latin-1").decode("utf-8")
     except UnicodeDecodeError:
-        raise _CellError(column, "text in UTF-8", repr(text)) from None
+        raise ValueError(f"column {column}: expected text in UTF-8, got {text!r}") from None
 
 
 def write_csv_log(path: str | Path, measurements: Iterable[Measurement]) -> None:

@@ -11,7 +11,7 @@ from __future__ import annotations
 import os
 import sqlite3
 import time
-from collections.abc import Callable, Iterable
+from collections.abc import Iterable
 from pathlib import Path
 from urllib.parse import quote
 
@@ -52,7 +52,8 @@ def open_database(path: Path, tables: Iterable[str], mode: str = AS_IT_LIES) -> 
         connection.set_progress_handler(lambda: time.thread_time() > end_s, _STEPS)
         connection.execute("PRAGMA writable_schema=ON")  # else a file that is cut off is refused as a whole
         require_tables(connection, tables)
-        connection.set_progress_handler(_count_down(path.stat().st_size), _STEPS)
+        checks = iter(range(max(_LEAST_STEPS, _STEPS_PER_BYTE * path.stat().st_size) // _STEPS))
+        connection.set_progress_handler(lambda: next(checks, None) is None, _STEPS)
     except BaseException:
         connection.close()
         raise
@@ -71,15 +72,3 @@ def require_tables(connection: sqlite3.Connection, tables: Iterable[str]) -> Non
     for name in tables:
         if any(column[6] for column in connection.execute(f"PRAGMA table_xinfo({name})")):
             raise sqlite3.DatabaseError(f"expected a table {name}, got one with computed columns")
-
-
-def _count_down(size: int) -> Callable[[], bool]:
-    """Give a function that is true once it was called more often than a file of `size` bytes allows."""
-    left = max(_LEAST_STEPS, _STEPS_PER_BYTE * size) // _STEPS
-
-    def is_over() -> bool:
-        nonlocal left
-        left -= 1
-        return left < 0
-
-    return is_over

@@ -27,20 +27,10 @@ def check_edits(
     Raises
     ------
     InputError
-        An edit lies outside the map.
+        With the number of the feature, where an edit lies outside the map.
     """
     if edits.map_sha256 not in ("", compute_image_digest(map_yaml)):
         on_remark(f"{path}: drawn on another image of {map_yaml}: look whether the edits lie where they should")
-    require_inside(edits, path, grid)
-
-
-def compute_image_digest(map_yaml: str | Path) -> str:
-    """Compute the SHA-256 of a map's image."""
-    return compute_digest(Path(map_yaml).parent / read_map_description(map_yaml).image)
-
-
-def require_inside(edits: Edits, path: str | Path, grid: OccupancyGrid) -> None:
-    """Raise InputError, with the number of the feature, where an edit lies outside the map."""
     low = np.array(grid.origin)
     high = low + np.array(grid.shape[::-1]) * grid.resolution_m
     for number, edit in enumerate(edits.edits, start=1):
@@ -48,6 +38,11 @@ def require_inside(edits: Edits, path: str | Path, grid: OccupancyGrid) -> None:
             x, y = edit.points[0].tolist()
             problem = f"expected places in the map, {low[0]:g} to {high[0]:g} and {low[1]:g} to {high[1]:g} m"
             raise InputError(path, f"feature {number}: {problem}, got {x:g}, {y:g}")
+
+
+def compute_image_digest(map_yaml: str | Path) -> str:
+    """Compute the SHA-256 of a map's image."""
+    return compute_digest(Path(map_yaml).parent / read_map_description(map_yaml).image)
 
 
 def apply_edits(grid: OccupancyGrid, edits: Edits) -> OccupancyGrid:

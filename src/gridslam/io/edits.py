@@ -6,17 +6,16 @@ import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, TypeAlias, final
+from typing import Any, final
 
 import numpy as np
-from numpy.typing import NDArray
 
 from gridslam.errors import InputError
 from gridslam.io.geojson import format_features
 from gridslam.io.output import write_atomically
 from gridslam.io.text import read_json
+from gridslam.types import FloatArray
 
-_FloatArray: TypeAlias = NDArray[np.float64]
 SCHEMA = "gridslam.edits/1"
 LAYERS: Mapping[str, tuple[str, ...]] = {
     "walls": ("LineString", "Polygon"),
@@ -58,7 +57,7 @@ class Edit:
 
     layer: str
     geometry: str
-    points: _FloatArray
+    points: FloatArray
     name: str = ""
     width_m: float = 0.0
     limit_percent: float = 0.0
@@ -183,7 +182,7 @@ def _are_finite(values: list[Any]) -> bool:
     return all(type(value) in (int, float) and abs(value) < 1e12 for value in values)
 
 
-def _read_points(kind: str, coordinates: Any) -> _FloatArray:  # noqa: ANN401
+def _read_points(kind: str, coordinates: Any) -> FloatArray:  # noqa: ANN401
     """Points of a geometry, checked; the ring of a polygon without its repeated corner, anticlockwise."""
     if kind == "Polygon":
         if not (isinstance(coordinates, list) and len(coordinates) == 1):
@@ -205,7 +204,7 @@ def _read_points(kind: str, coordinates: Any) -> _FloatArray:  # noqa: ANN401
     return _check_ring(points) if kind == "Polygon" else points
 
 
-def _check_ring(points: _FloatArray) -> _FloatArray:
+def _check_ring(points: FloatArray) -> FloatArray:
     """Corners of a closed ring (K + 1, 2), anticlockwise; raises ValueError where it has no area."""
     if (points[0] != points[-1]).any():
         raise ValueError("expected a closed ring, whose last position is the first one")

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from gridslam.errors import ArgumentError, InputError
-from gridslam.geometry.angles import wrap
+from gridslam.geometry.angles import wrap_headings
 from gridslam.io.measurement import FARTHEST_M
 from gridslam.io.output import write_atomically
 from gridslam.io.tables import check_rows, parse_tagged, symmetric_of_upper, upper_of_symmetric
@@ -126,15 +126,15 @@ def read_g2o(path: str | Path, *, skip_unknown: bool = False) -> G2oGraph:
     order = np.insert(np.arange(1, len(names)), fixed, 0)
     by_place = np.argsort(order)
     graph = PoseGraph(  # built directly: what PoseGraph.of checks has been checked, with the lines
-        _wrapped(vertices.values[by_place]),
+        wrap_headings(vertices.values[by_place]),
         order[pairs],
-        _wrapped(edges.values[:, :3]),
+        wrap_headings(edges.values[:, :3]),
         information,
         (np.abs(edges.ids[:, 1] - edges.ids[:, 0]) == 1) & ~np.isin(edges.ids[:, 1], landmarks),
     )
     if is_guessed:
         try:
-            graph = graph.with_poses(_wrapped(initial_guess(graph)))
+            graph = graph.with_poses(wrap_headings(initial_guess(graph)))
         except ArgumentError as error:
             raise InputError(path, str(error)) from None
     ids = vertices.ids[by_place, 0]
@@ -255,11 +255,6 @@ def _as(tag: str, rows: _Rows) -> _Rows:
     elif tag == _TORO_EDGE:
         values = values[:, [0, 1, 2, 3, 4, 7, 5, 8, 6]]
     return rows._replace(values=values)
-
-
-def _wrapped(poses: FloatArray) -> FloatArray:
-    """Return poses (N, 3) with headings in [-pi, pi)."""
-    return np.column_stack([poses[:, :2], wrap(poses[:, 2])])
 
 
 def _name_vertices(edges: _Rows) -> _Rows:

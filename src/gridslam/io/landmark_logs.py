@@ -15,7 +15,7 @@ import numpy as np
 
 from gridslam.arguments import describe, is_covariance
 from gridslam.errors import ArgumentError, InputError
-from gridslam.geometry.angles import wrap
+from gridslam.geometry.angles import wrap_headings
 from gridslam.geometry.se2 import compose, exp
 from gridslam.io.measurement import FARTHEST_M
 from gridslam.io.tables import Row, parse_tagged, read_rows, read_table, symmetric_of_upper
@@ -262,7 +262,7 @@ def _read_barcodes(path: Path) -> dict[int, int]:
 def _read_trajectory(path: Path) -> Trajectory:
     """Return the truth about a robot of MRCLAM."""
     table = read_table(path, "time_s x_m y_m theta_rad", stamps=1, in_order=True)
-    return Trajectory(table.stamps_ns[:, 0], np.column_stack([table.values[:, :2], wrap(table.values[:, 2])]))
+    return Trajectory(table.stamps_ns[:, 0], wrap_headings(table.values))
 
 
 @final
@@ -342,9 +342,8 @@ class VictoriaParkLog:
                 problem = f"{tag}: expected numbers up to {farthest_m:g} m and rad, got {text!r:.200}"
                 raise InputError(self.path, problem, line)
             if covariance is None:
-                problem = "expected a positive definite covariance"
-                problem = f"{tag}: {problem} with variances from {_LEAST_VARIANCE:g} to {_MOST_VARIANCE:g}"
-                raise InputError(self.path, f"{problem}, got {text!r:.200}", line)
+                expected = f"positive definite covariance with variances from {_LEAST_VARIANCE:g} to {_MOST_VARIANCE:g}"
+                raise InputError(self.path, f"{tag}: expected a {expected}, got {text!r:.200}", line)
             yield line, tag, ids, (values, covariance)
 
 

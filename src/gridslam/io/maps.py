@@ -339,27 +339,22 @@ def read_map_image(path: str | Path) -> MapImage:
     InputError
         There is no such file, it is no image, one with colours, or larger than `open_image` allows.
     """
-    with open_image(path, _BYTES_PER_PIXEL) as image:
-        return _read_bands(path, image)
-
-
-def _read_bands(path: str | Path, image: Image) -> MapImage:
-    """Return brightness and opacity, some rows at a time."""
-    width, height = image.size
-    transparent = "A" in image.getbands() or "transparency" in image.info
-    opaque = np.ones((height, width), np.bool_)
     brightness: NDArray[Any] | None = None
     coloured = 0
-    for top in range(0, height, _BAND):
-        band = image.crop((0, top, width, min(top + _BAND, height)))
-        band.info = image.info
-        if transparent:
-            opaque[top : top + _BAND] = np.asarray(band.convert("RGBA"))[:, :, 3] == 255
-        grey, colours = _brightness(band)
-        coloured += colours
-        if brightness is None:
-            brightness = np.empty((height, width), grey.dtype)
-        brightness[top : top + _BAND] = grey
+    with open_image(path, _BYTES_PER_PIXEL) as image:
+        width, height = image.size
+        transparent = "A" in image.getbands() or "transparency" in image.info
+        opaque = np.ones((height, width), np.bool_)
+        for top in range(0, height, _BAND):
+            band = image.crop((0, top, width, min(top + _BAND, height)))
+            band.info = image.info
+            if transparent:
+                opaque[top : top + _BAND] = np.asarray(band.convert("RGBA"))[:, :, 3] == 255
+            grey, colours = _brightness(band)
+            coloured += colours
+            if brightness is None:
+                brightness = np.empty((height, width), grey.dtype)
+            brightness[top : top + _BAND] = grey
     if coloured:
         raise InputError(path, f"expected a grey image, got colours in {coloured} of {width * height} pixels")
     if brightness is None:
@@ -404,7 +399,8 @@ def _band_percent(image: MapImage, description: MapDescription, strict_threshold
     if description.mode == "raw":
         percent = np.rint(image.brightness)
         return np.where(percent <= 100, percent, -1)
-    darkness = _darkness(image, description)
+    brightness = image.brightness.astype(np.float64)
+    darkness = (brightness if description.negate else 255 - brightness) / 255  # 1 as an occupied one
     low = description.free_thresh
     high = description.occupied_thresh
     between = -1.0 if description.mode == "trinary" else np.rint(100 * (darkness - low) / (high - low))
@@ -417,17 +413,10 @@ def _band_percent(image: MapImage, description: MapDescription, strict_threshold
 
 def unknown_read_as_free(image: MapImage, description: MapDescription) -> NDArray[np.bool_]:
     """Return which pixels (H, W) savers write for unknown, but the file's thresholds, read literally, make free."""
-    if description.mode != "trinary" or description.negate:
-        return np.zeros(image.opaque.shape, np.bool_)
-    if description.free_thresh <= (255 - _UNKNOWN) / 255:
-        return np.zeros(image.opaque.shape, np.bool_)
-    return np.asarray(image.opaque & (image.brightness == _UNKNOWN))
-
-
-def _darkness(image: MapImage, description: MapDescription) -> NDArray[np.float64]:
-    """0 where a pixel is as a free one, 1 where it is as an occupied one."""
-    brightness = image.brightness.astype(np.float64)
-    return (brightness if description.negate else 255 - brightness) / 255
+    is_read_as_free = description.free_thresh > (255 - _UNKNOWN) / 255
+    if description.mode == "trinary" and not description.negate and is_read_as_free:
+        return np.asarray(image.opaque & (image.brightness == _UNKNOWN))
+    return np.zeros(image.opaque.shape, np.bool_)
 
 
 def _log_odds(probability: float) -> float:

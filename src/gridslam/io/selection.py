@@ -184,15 +184,14 @@ class SelectedLog:
 
 def _timed(log: Log) -> Iterator[tuple[int, Measurement]]:
     """Time since the log's first stamp, ns, and measurement; the first and the last have only their own stamps."""
-    first_ns = before_ns = 0
-    here: Measurement | None = None
-    for after in log:
-        if here is None:
-            first_ns = before_ns = after.scan.stamp_ns
-        else:
-            stamp_ns = here.scan.stamp_ns
-            yield sorted((before_ns, stamp_ns, after.scan.stamp_ns))[1] - first_ns, here
-            before_ns = stamp_ns
+    measurements = iter(log)
+    here = next(measurements, None)
+    if here is None:
+        return
+    first_ns = before_ns = here.scan.stamp_ns
+    for after in measurements:
+        stamp_ns = here.scan.stamp_ns
+        yield sorted((before_ns, stamp_ns, after.scan.stamp_ns))[1] - first_ns, here
+        before_ns = stamp_ns
         here = after
-    if here is not None:
-        yield here.scan.stamp_ns - first_ns, here
+    yield here.scan.stamp_ns - first_ns, here

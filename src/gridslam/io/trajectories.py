@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from gridslam.errors import ArgumentError
-from gridslam.geometry.angles import wrap
+from gridslam.geometry.angles import wrap_headings
 from gridslam.io.measurement import FARTHEST_M
 from gridslam.io.tables import (
     Table,
@@ -131,8 +131,8 @@ def _of_quaternions(path: str | Path, table: Table) -> Trajectory:
     unit = abs(norm - 1) <= 0.01
     check_rows(path, table.lines, unit, lambda row: f"expected a unit quaternion, got one of norm {norm[row]:g}")
     _check_positions(path, table)
-    yaw = wrap(np.arctan2(2 * (qw * qz + qx * qy), qw**2 + qx**2 - qy**2 - qz**2))
-    return Trajectory(table.stamps_ns[:, 0], np.column_stack([x, y, yaw]))
+    yaw = np.arctan2(2 * (qw * qz + qx * qy), qw**2 + qx**2 - qy**2 - qz**2)
+    return Trajectory(table.stamps_ns[:, 0], wrap_headings(np.column_stack([x, y, yaw])))
 
 
 def write_trajectory_csv(path: str | Path, trajectory: Trajectory, covariances: FloatArray) -> None:
@@ -157,10 +157,7 @@ def write_trajectory_csv(path: str | Path, trajectory: Trajectory, covariances: 
     if covariances.shape != (len(trajectory), 3, 3):
         raise ArgumentError("covariances", f"shape ({len(trajectory)}, 3, 3)", covariances.shape)
     values = np.concatenate([trajectory.poses, upper_of_symmetric(covariances)], axis=1)
-    lines = _format_rows(_CSV_ROW, trajectory.stamps_ns, values)
-    with Path(path).open("wb") as file:
-        file.write(f"{CSV_HEADER}\n".encode())
-        file.write(lines)
+    Path(path).write_bytes(f"{CSV_HEADER}\n".encode() + _format_rows(_CSV_ROW, trajectory.stamps_ns, values))
 
 
 def read_trajectory_csv(path: str | Path) -> tuple[Trajectory, FloatArray]:
@@ -174,7 +171,7 @@ def read_trajectory_csv(path: str | Path) -> tuple[Trajectory, FloatArray]:
     """
     table = read_table(path, CSV_HEADER, stamps=1)
     _check_positions(path, table)
-    poses = np.column_stack([table.values[:, :2], wrap(table.values[:, 2])])  # nine decimals may round beyond pi
+    poses = wrap_headings(table.values[:, :3])  # nine decimals may round beyond pi
     return Trajectory(table.stamps_ns[:, 0], poses), symmetric_of_upper(table.values[:, 3:])
 
 
@@ -211,5 +208,4 @@ def read_relations(path: str | Path) -> Relations:
         return f"expected a planar relation (z roll pitch 0), got {' '.join(f'{value:g}' for value in tilt[row])}"
 
     check_rows(path, lines, (np.abs(tilt) <= _PLANAR).all(axis=1), describe)
-    poses = np.column_stack([values[:, :2], wrap(values[:, 5])])
-    return Relations(stamps_ns[:, 0], stamps_ns[:, 1], poses)
+    return Relations(stamps_ns[:, 0], stamps_ns[:, 1], wrap_headings(values[:, [0, 1, 5]]))

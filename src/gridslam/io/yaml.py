@@ -38,10 +38,9 @@ def parse_yaml(text: str, *, as_nodes: bool = False) -> Any:  # noqa: ANN401
         warnings.simplefilter("ignore")  # of 1e-3, which YAML 1.1 would have as 1.0e-3
         try:
             root = reader.compose(text)
-            _count_values(root, {})
+            _prepare_node(root, {})
             if as_nodes or root is None:
                 return root
-            _read_keys_as_texts(root)
             tree = reader.constructor.construct_document(root)
             require_plain(tree)
             return tree
@@ -61,33 +60,27 @@ def _find_line(reader: Any) -> int | None:  # noqa: ANN401
     return int(begun[-1].start_mark.line) + 1 if begun else None
 
 
-def _count_values(node: Any, counts: dict[int, int]) -> int:  # noqa: ANN401
-    """Count the values below a node, those it refers to included; `counts` has those of other nodes, by their ids."""
+def _prepare_node(node: Any, counts: dict[int, int]) -> int:  # noqa: ANN401
+    """Tag the keys of all mappings in a node as texts, and return how many values it holds.
+
+    Values that it refers to count, too; `counts` has those of other nodes, by their ids.
+    """
     if node is None or node.id == "scalar":
         return 1
     if id(node) not in counts:
         counts[id(node)] = _MOST_VALUES + 1  # until it is known: a node that contains itself has no end
-        below = [part for pair in node.value for part in pair] if node.id == "mapping" else node.value
-        counts[id(node)] = 1 + sum(_count_values(part, counts) for part in below)
+        below = node.value
+        if node.id == "mapping":
+            _tag_keys_as_texts(node)
+            below = [part for pair in node.value for part in pair]
+        counts[id(node)] = 1 + sum(_prepare_node(part, counts) for part in below)
     if counts[id(node)] > _MOST_VALUES:
         problem = f"expected at most {_MOST_VALUES} values, got more by references to others"
         raise YamlError(problem, node.start_mark.line + 1)
     return counts[id(node)]
 
 
-def _read_keys_as_texts(root: Any) -> None:  # noqa: ANN401
-    """Tag the keys of all mappings below a node as texts."""
-    left = [root]
-    seen = set[int]()  # a node may be named, and referred to again
-    while left:
-        node = left.pop()
-        if id(node) in seen or node.id == "scalar":
-            continue
-        seen.add(id(node))
-        if node.id == "sequence":
-            left += node.value
-            continue
-        for key, value in node.value:
-            if key.id == "scalar" and not key.tag.endswith(":merge"):
-                key.tag = "tag:yaml.org,2002:str"
-            left.append(value)
+def _tag_keys_as_texts(mapping: Any) -> None:  # noqa: ANN401
+    for key, _ in mapping.value:
+        if key.id == "scalar" and not key.tag.endswith(":merge"):
+            key.tag = "tag:yaml.org,2002:str"

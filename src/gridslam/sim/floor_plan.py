@@ -131,5 +131,4 @@ def near(walls: FloatArray, points: FloatArray, reach_m: float) -> FloatArray:
     low = points.min(axis=0) - reach_m
     high = points.max(axis=0) + reach_m
     ends = walls.reshape(-1, 2, 2)
-    found: FloatArray = walls[((ends.max(axis=1) >= low) & (ends.min(axis=1) <= high)).all(axis=1)]
-    return found
+    return np.asarray(walls[((ends.max(axis=1) >= low) & (ends.min(axis=1) <= high)).all(axis=1)])

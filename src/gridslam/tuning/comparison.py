@@ -83,8 +83,8 @@ def compare(pairs: Sequence[Pair]) -> Comparison:
     half = _half_width(observed)
     return Comparison(
         ratio=math.exp(mean),
-        lower=math.exp(mean - half) if math.isfinite(half) else 0.0,
-        upper=math.exp(mean + half) if math.isfinite(half) else math.inf,
+        lower=math.exp(mean - half),
+        upper=math.exp(mean + half),
         units="logs" if by_log else "runs",
         observations=len(observed),
         failed=sum(math.isinf(pair.tuned) for pair in pairs),

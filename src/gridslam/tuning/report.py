@@ -19,18 +19,18 @@ TUNING_SCHEMA: Final = "gridslam.tuning/4"
 
 def describe_verdict(tuning: Tuning, logs: Sequence[TunedLog]) -> list[str]:
     """State in plain lines whether the best is recommended, and the reason."""
-    held_out = any(log.held_out for log in logs)
     if tuning.comparison is None:
         tried = len({tuple(trial.values.items()) for trial in tuning.trials})
         few = [f"{tried} trials are too few to exclude a gain: {tuning.enough} or more are advised"]
         verdict = "no gain: nothing that was tried is better than the configuration that the search began with"
         return [verdict, *(few if tried < tuning.enough else [])]
     found = tuning.comparison
-    where = "held-out logs" if held_out else "logs of the search, with other seeds"
+    where = "held-out logs" if any(log.held_out for log in logs) else "logs of the search, with other seeds"
     runs = f"{found.observations} {where}" if found.units == "logs" else f"{found.observations} runs on {where}"
-    measured = f"the error of the best is {found.ratio:.3f} times that of the start ({_interval(found)}, {runs})"
+    interval = f"{100 * CONFIDENCE:g} % interval {found.lower:.3f} to {found.upper:.3f}"
+    measured = f"the error of the best is {found.ratio:.3f} times that of the start ({interval}, {runs})"
     if tuning.gains:
-        changed = ", ".join(f"{name} {_text(value)}" for name, value in tuning.best.values.items())
+        changed = ", ".join(f"{name} {str(value).lower()}" for name, value in tuning.best.values.items())
         return [f"gain: {measured}", f"values: {changed}"]
     failed = f"; {found.failed} of its runs failed" if found.failed else ""
     return [f"no gain: {measured}{failed}", "the configuration that the search began with is kept"]
@@ -83,14 +83,6 @@ def to_document(tuning: Tuning, settings: Settings, logs: Sequence[TunedLog], tr
             for trial in tuning.trials
         ],
     }
-
-
-def _interval(found: Comparison) -> str:
-    return f"{100 * CONFIDENCE:g} % interval {found.lower:.3f} to {found.upper:.3f}"
-
-
-def _text(value: object) -> str:
-    return str(value).lower()
 
 
 def _describe_comparison(found: Comparison | None) -> dict[str, Any] | None:

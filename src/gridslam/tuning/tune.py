@@ -258,8 +258,8 @@ class Tuner:
         new = {job.key: job for job in jobs if job.key not in self._rows}
         if new:
             self._rows |= dict(zip(new, self.run(list(new.values())), strict=True))
-        losses: FloatArray = np.array([_loss_of(self._rows[job.key]) for job in jobs])
-        return losses.reshape(len(configurations), len(logs), len(seeds))
+        losses = [_loss_of(self._rows[job.key]) for job in jobs]
+        return np.array(losses).reshape(len(configurations), len(logs), len(seeds))
 
     def _job(self, configuration: Configuration, seed: int, log: TunedLog) -> Job:
         settings = self.settings

@@ -114,13 +114,9 @@ class GridRows(Protocol):
 def _darkest(levels: FloatArray) -> FloatArray:
     """Levels (H, W) in blocks so large that neither side has more than `_MOST_PX`: the least of each block stays."""
     block = -(-max(levels.shape) // _MOST_PX)
-    if block == 1:
-        return levels
-    margins = [(0, -side % block) for side in levels.shape]
-    padded = np.pad(levels, margins, constant_values=np.inf)
-    height, width = (side // block for side in padded.shape)
-    least: FloatArray = padded.reshape(height, block, width, block).min(axis=(1, 3))
-    return least
+    height, width = levels.shape
+    rows = np.minimum.reduceat(levels, np.arange(0, height, block))
+    return np.minimum.reduceat(rows, np.arange(0, width, block), axis=1)
 
 
 def encode_grey(pixels: NDArray[np.uint8]) -> bytes:

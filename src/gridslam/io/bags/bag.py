@@ -86,24 +86,21 @@ class BagLog:
     def _new_statistics(self) -> LogStatistics:
         source = self._source
         choice = self.choice
-        statistics = LogStatistics(total_bytes=source.total_bytes, topics=dict(source.topics))
-        statistics.missing_files = source.missing_files
-        statistics.truncated = source.is_truncated
+        statistics = LogStatistics(
+            total_bytes=source.total_bytes,
+            topics=dict(source.topics),
+            missing_files=source.missing_files,
+            remarks=Counter(choice.remarks),
+            truncated=source.is_truncated,
+        )
         if choice.odometry_frame:
             statistics.odometry_source = choice.odometry or f"{choice.odometry_frame} to {choice.base_frame} on /tf"
-        statistics.remarks.update(_remarks(self._seen, choice))
+        for what, count in self._seen.unusable.items():
+            statistics.remarks[f"{what} is no pose (not finite, or no rotation): left out"] += count
+        for name in choice.scans:
+            if not self._seen.scans[name].stamped:
+                statistics.remarks[f"the scans of {name} are not stamped: the times of recording are taken"] += 1
         return statistics
-
-
-def _remarks(seen: Survey, choice: Choice) -> Counter[str]:
-    """List remarks for the user before the log is read."""
-    found = Counter(choice.remarks)
-    for what, count in seen.unusable.items():
-        found[f"{what} is no pose (not finite, or no rotation): left out"] += count
-    for name in choice.scans:
-        if not seen.scans[name].stamped:
-            found[f"the scans of {name} are not stamped: the times of recording are taken"] += 1
-    return found
 
 
 class _Waiting(NamedTuple):

@@ -54,16 +54,9 @@ class MountedLaser:
     def update(self) -> None:
         """Take in that a link has another pose; raises ArgumentError where no laser can be so far from its robot."""
         now = self._composed()
-        if not _is_near(now):
-            raise ArgumentError("pose", f"a laser within {FARTHEST_LASER_M:g} m of its base", list(now[:3]))
         if differs(self._last, now):
             self._last = now
             self.base_from_laser = rigid.to_matrix(now)
-
-    @property
-    def is_near(self) -> bool:
-        """Whether the reported mounting is plausible."""
-        return _is_near(self._last)
 
     @property
     def has_moved(self) -> bool:
@@ -85,11 +78,9 @@ class MountedLaser:
         for link, down in self.way:
             pose = self._poses[link]
             motion = rigid.compose(motion, pose if down else rigid.inverse(pose))
+        if not math.hypot(*motion[:3]) < FARTHEST_LASER_M:
+            raise ArgumentError("pose", f"a laser within {FARTHEST_LASER_M:g} m of its base", list(motion[:3]))
         return motion
-
-
-def _is_near(pose: Rigid) -> bool:
-    return math.hypot(*pose[:3]) < FARTHEST_LASER_M
 
 
 @final
@@ -167,15 +158,13 @@ class Rig:
             pose = self._buffer.planar(self._frame, self._base, stamp_ns)
         except MissingTransform as missing:
             return missing.coverage, None
-        pose.flags.writeable = False
-        return Coverage.KNOWN, Odometry(stamp_ns, pose)
+        return Coverage.KNOWN, Odometry.at(stamp_ns, pose)
 
     def laser(self, frame: str) -> MountedLaser:
         """Return the laser of this frame."""
-        found = self._lasers.get(frame)
-        if found is None:
-            found = self._lasers[frame] = self._mounted(frame)
-        return found
+        if frame not in self._lasers:
+            self._lasers[frame] = self._mounted(frame)
+        return self._lasers[frame]
 
     def _mounted(self, frame: str) -> MountedLaser:
         way = self._seen.way(self._base, frame)
@@ -186,8 +175,9 @@ class Rig:
             self._poses.setdefault(link, self._reported.setdefault(link, self._seen.links[link].pose))
         topics = sorted({self._seen.links[link].topic for link, _ in way})
         source = f"{', '.join(topics)}: {self._base} to {frame}" if way else f"{frame} is the base"
-        found = MountedLaser(way, self._poses, source)
-        if not found.is_near:
+        try:
+            found = MountedLaser(way, self._poses, source)
+        except ArgumentError:
             return MountedLaser(
                 None, {}, f"{source} puts it out of reach ({FARTHEST_LASER_M:g} m): taken to be at the robot's base"
             )

@@ -67,11 +67,13 @@ class BagSource:
         files = _files(path) if path.is_dir() else [path]
         self.missing_files = _missing_files(path, files) if path.is_dir() else ()
         self._storages = [_Storage(file, keep_truncated) for file in files]
-        self._storages.sort(key=lambda storage: storage.start_ns)
-        self.encoder = MessageEncoder(is_ros1=any(storage.is_ros1 for storage in self._storages))
+        self._storages.sort(key=lambda storage: storage.reader.start_ns)
+        self.encoder = MessageEncoder(is_ros1=any(storage.reader.is_ros1 for storage in self._storages))
         self.total_bytes = sum(storage.total_bytes for storage in self._storages)
         self.topics: Mapping[str, Topic] = count_topics(
-            (name, topic.type, topic.messages) for storage in self._storages for name, topic in storage.topics.items()
+            (name, topic.type, topic.messages)
+            for storage in self._storages
+            for name, topic in storage.reader.topics.items()
         )
 
     @property
@@ -83,9 +85,10 @@ class BagSource:
         """Yield messages of some topics in the order of recording; raises InputError where it cannot be read on."""
         before = 0
         for storage in self._storages:
-            bytes_per_ns = storage.total_bytes / max(storage.end_ns - storage.start_ns, 1)
+            start_ns = storage.reader.start_ns
+            bytes_per_ns = storage.total_bytes / max(storage.reader.end_ns - start_ns, 1)
             for message in storage.messages(topics):
-                self.bytes_read = before + int((message[0] - storage.start_ns) * bytes_per_ns)
+                self.bytes_read = before + int((message[0] - start_ns) * bytes_per_ns)
                 yield message
             before += storage.total_bytes
         self.bytes_read = before
@@ -133,13 +136,9 @@ class _Storage:
         log = self._path.with_name(self._path.name + "-wal")
         if log.is_file() and log.stat().st_size:
             self._cut(f"{log.name} beside it holds messages that SQLite has not merged: the recording was not ended")
-        self._reader = self._open(path, head)
-        if self._reader.problem:
-            self._cut(f"the file is damaged or cut off ({self._reader.problem})")
-        self.is_ros1 = self._reader.is_ros1
-        self.start_ns = self._reader.start_ns
-        self.end_ns = self._reader.end_ns
-        self.topics = self._reader.topics
+        self.reader = self._open(path, head)
+        if self.reader.problem:
+            self._cut(f"the file is damaged or cut off ({self.reader.problem})")
 
     def _open(self, path: Path, head: bytes) -> ChunkedFile | SqliteFile:
         if head.startswith(ROS1_MAGIC):
@@ -153,7 +152,7 @@ class _Storage:
     def messages(self, topics: Collection[str]) -> Iterator[Message]:
         limit = UnpackingLimit(self.total_bytes)
         try:
-            for time_ns, topic, data in self._reader.messages(topics):
+            for time_ns, topic, data in self.reader.messages(topics):
                 yield time_ns, topic, decompress(b"zstd", data, limit) if data.startswith(ZSTD_MAGIC) else data
         except DamageError as damage:
             self._cut(f"the file is damaged ({damage})")

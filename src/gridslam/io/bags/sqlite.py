@@ -40,10 +40,8 @@ class SqliteFile(BagFile):
     def __init__(self, path: Path) -> None:
         """Count the messages."""
         super().__init__(path)
-        types = {row[0]: (row[1], row[2]) for row in self._rows(1, "SELECT id, name, type FROM topics")}
-        types = {number: (name, kind) for number, (name, kind) in types.items() if isinstance(name, str)}
-        self._topics = {number: name for number, (name, _) in types.items()}
-        self._kinds = {number: str(kind) for number, (_, kind) in types.items()}
+        rows = self._rows(1, "SELECT id, name, type FROM topics")
+        self._channels = {number: (name, str(kind)) for number, name, kind in rows if isinstance(name, str)}
         counts: Counter[int] = Counter()
         left = self._size
         for number, time_ns, size in self._rows(3, _COUNTED):
@@ -55,14 +53,14 @@ class SqliteFile(BagFile):
             counts[number] += 1
             self.start_ns = min(self.start_ns, time_ns)
             self.end_ns = max(self.end_ns, time_ns)
-        self.topics = count_topics((name, self._kinds[number], counts[number]) for number, name in self._topics.items())
+        self.topics = count_topics((name, kind, counts[number]) for number, (name, kind) in self._channels.items())
 
     def messages(self, topics: Collection[str]) -> Iterator[Message]:
         """Yield messages of some topics; raises DamageError at the first one that is damaged, after those before it."""
         wanted = {
             number: name
-            for number, name in self._topics.items()
-            if name in topics and self._kinds[number] == self.topics[name].type
+            for number, (name, kind) in self._channels.items()
+            if name in topics and kind == self.topics[name].type
         }
         query = _AS_THEY_LIE if self.problem else _ORDERED.format(",".join(map(str, wanted)))
         with self._raise_problem():

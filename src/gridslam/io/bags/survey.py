@@ -202,30 +202,26 @@ def _look(source: BagSource, kinds: Mapping[str, str], found: Survey, first: boo
             until_ns = time_ns + _LOOK_NS
         if first and time_ns > until_ns:
             return
-        if _note(found, name, message) and not first and _complete(found, kinds):
+        _note(found, name, message)
+        if not first and _complete(found, kinds):
             return
 
 
-def _note(found: Survey, name: str, message: Decoded) -> bool:
-    """Process a message; return whether it may have added information."""
+def _note(found: Survey, name: str, message: Decoded) -> None:
+    """Take in a message."""
     if isinstance(message, list):
-        links = len(found.links)
         for transform in message:
             found.add(name, transform)
-        return len(found.links) > links
-    topics = found.scans if isinstance(message, ScanMessage) else found.odometry
-    new = name not in topics
-    if new:
-        child = message.child_frame if isinstance(message, OdometryMessage) else ""
-        topics[name] = TopicInfo(message.frame, child)
-    topic = topics[name]
+        return
+    if isinstance(message, ScanMessage):
+        topic = found.scans.setdefault(name, TopicInfo(message.frame, ""))
+        if problem := find_scan_problem(message):
+            topic.problems[problem] += 1
+    else:
+        topic = found.odometry.setdefault(name, TopicInfo(message.frame, message.child_frame))
+        found.pose(message.pose, name)
     topic.stamped = topic.stamped or message.stamp_ns != 0
     topic.messages += 1
-    if isinstance(message, ScanMessage) and (problem := find_scan_problem(message)):
-        topic.problems[problem] += 1
-    if isinstance(message, OdometryMessage):
-        found.pose(message.pose, name)
-    return new
 
 
 def find_scan_problem(message: ScanMessage) -> str:

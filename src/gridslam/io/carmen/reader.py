@@ -12,14 +12,14 @@ import numpy as np
 
 from gridslam.checked import checked
 from gridslam.errors import ArgumentError, InputError
-from gridslam.geometry.angles import wrap
+from gridslam.geometry.angles import wrap_headings
 from gridslam.io.carmen.lasers import USED_PARAMETERS, CarmenLasers
 from gridslam.io.carmen.lines import SCAN_TAGS, LineError, ScanRows, parse_pose, parse_rows
 from gridslam.io.log_statistics import LogStatistics
 from gridslam.io.measurement import Measurement
 from gridslam.io.tables import parse_stamp_ns
 from gridslam.io.text import TextSource
-from gridslam.types import BeamStatus, FloatArray, LaserScan, Odometry
+from gridslam.types import BeamStatus, LaserScan, Odometry
 
 _ODOM_WORDS = 10  # ODOM x y theta tv rv accel ipc_timestamp ipc_hostname logger_timestamp
 
@@ -196,7 +196,7 @@ class _Parser:
         limit = self._lasers.range_max_m(sensor, rows.layout)
         ranges = rows.ranges
         status = (ranges >= limit) * np.uint8(BeamStatus.NO_RETURN) + ~(ranges > 0) * np.uint8(BeamStatus.INVALID)
-        poses = None if rows.robot_poses is None else _normalised(rows.robot_poses)
+        poses = None if rows.robot_poses is None else wrap_headings(rows.robot_poses)
         for array in (ranges, status, poses):
             if array is not None:
                 array.flags.writeable = False
@@ -215,11 +215,6 @@ class _Parser:
         try:
             if len(words) < 8:
                 raise LineError(f"expected ODOM x y theta tv rv accel and a stamp, got {len(words)} words")
-            return Odometry(parse_stamp_ns(words[7]), _normalised(parse_pose(words[1:4])[None])[0])
+            return Odometry(parse_stamp_ns(words[7]), wrap_headings(parse_pose(words[1:4])[None])[0])
         except ValueError as error:
             raise InputError(self._path, str(error), number) from None
-
-
-def _normalised(poses: FloatArray) -> FloatArray:
-    """Copy of poses (N, 3) with theta in [-pi, pi)."""
-    return np.column_stack([poses[:, :2], wrap(poses[:, 2])])

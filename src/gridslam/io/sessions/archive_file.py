@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from gridslam.errors import ArgumentError, ConfigurationError, InputError, describe_failure
 from gridslam.io.limits import UnpackingLimit, require_memory
 from gridslam.io.output import write_atomically
-from gridslam.io.text import open_for_reading
+from gridslam.io.text import open_for_reading, refuse_unreadable
 
 Arrays: TypeAlias = Mapping[str, NDArray[Any]]
 
@@ -42,18 +42,12 @@ def read_arrays(path: str | Path, schema: str, what: str) -> dict[str, NDArray[A
     Raises InputError where the file is not `what`, is of another schema, or unpacks to more than
     is allowed.
     """
-    arrays: dict[str, NDArray[Any]] = {}
-    with open_for_reading(path) as file:
-        try:
-            with zipfile.ZipFile(file) as archive:
-                _require_small(path, archive)
-            file.seek(0)
-            with np.load(file, allow_pickle=False) as saved:
-                arrays = {name: np.asarray(saved[name]) for name in saved.files}
-        except InputError:
-            raise
-        except Exception as error:  # whatever zip, zlib and NumPy come across in a damaged archive
-            raise InputError(path, f"expected {what}, got: {error or type(error).__name__}") from None
+    with open_for_reading(path) as file, refuse_unreadable(path, what):
+        with zipfile.ZipFile(file) as archive:
+            _require_small(path, archive)
+        file.seek(0)
+        with np.load(file, allow_pickle=False) as saved:
+            arrays = {name: np.asarray(saved[name]) for name in saved.files}
     found = arrays.get("schema")
     got = "none" if found is None else str(found) if found.size == 1 else f"{found.dtype} of shape {found.shape}"
     if got != schema:

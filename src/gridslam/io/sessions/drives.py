@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from itertools import chain, count
 from typing import final
 
 import numpy as np
@@ -87,8 +88,7 @@ class Drive:
     @property
     def key_stamps_ns(self) -> IntArray:
         """Stamps of its key scans."""
-        stamps: IntArray = self.stamps_ns[np.flatnonzero(np.diff(self.scans.keys, prepend=-1))]
-        return stamps
+        return np.asarray(self.stamps_ns[np.flatnonzero(np.diff(self.scans.keys, prepend=-1))])
 
 
 @final
@@ -161,10 +161,5 @@ class SavedPiece:
 
 def choose_name(name: str, others: Sequence[str]) -> str:
     """Give a name that no other drive has: `name`, or with the first number from 2 on that is free."""
-    taken = {*others}
-    chosen = name
-    number = 2
-    while chosen in taken:
-        chosen = f"{name}_{number}"
-        number += 1
-    return chosen
+    names = chain([name], (f"{name}_{number}" for number in count(2)))
+    return next(free for free in names if free not in others)
