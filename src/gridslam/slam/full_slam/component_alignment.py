@@ -233,7 +233,7 @@ def _select_searches(graph: KeyGraph, submaps: list[Submap], labels: IntArray, a
         newest = np.flatnonzero(labels == new)[-1]
         for old in range(new):
             keys = np.flatnonzero(labels == old)
-            if not len(keys) or max(newest, keys[-1]) < aligned:
+            if max(newest, keys[-1]) < aligned:
                 continue
             few = keys[:: -(-len(keys) // _MOST_EXPECTED)]
             expected, covariances = graph.locate(submap.anchor, few)

@@ -171,12 +171,8 @@ class PlaceMatching:
 
 def _find_last_certain(graph: KeyGraph) -> Constraint | None:
     """The last constraint from which the newest key scan is tracked, if that is not too long ago."""
-    certain = (
-        constraint
-        for constraint in reversed(graph.constraints[-_TRACKED_KEY_SCANS:])
-        if constraint.determined and constraint.source is not ConstraintSource.PROXIMITY
-    )
-    last = next(certain, None)
+    newest = reversed(graph.constraints[-_TRACKED_KEY_SCANS:])
+    last = next((constraint for constraint in newest if constraint.is_certain), None)
     return None if last is None or len(graph) - 1 - last.to > _TRACKED_KEY_SCANS else last
 
 
