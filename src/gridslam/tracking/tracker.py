@@ -15,7 +15,7 @@ import numpy as np
 
 from gridslam.checked import checked
 from gridslam.errors import ArgumentError
-from gridslam.geometry.single_pose import Pose, as_pose, between, compose, is_known, motion_of
+from gridslam.geometry.single_pose import Pose, as_pose, between, compose, is_known, is_within, motion_of
 from gridslam.mapping.occupancy_grid_mapping import OccupancyGridMapping
 from gridslam.matching.gauss_newton import (
     EVALUATE_ONLY,
@@ -37,14 +37,7 @@ from gridslam.tracking.prediction import (
     unmatched_variances,
 )
 from gridslam.tracking.search import OdometrySearch, calibrated, local_pyramid
-from gridslam.tracking.state import (
-    Control,
-    SensorTrack,
-    TrackedScan,
-    TrackerState,
-    is_within,
-    pose_of,
-)
+from gridslam.tracking.state import Control, SensorTrack, TrackedScan, TrackerState, pose_of
 from gridslam.tracking.surface_matching import SURFACE_SCANS, match_to_surfaces
 from gridslam.types import BeamEnds, Beams, FloatArray, Odometry
 

@@ -15,7 +15,7 @@ import numpy as np
 from gridslam.checked import checked
 from gridslam.geometry.angles import wrap
 from gridslam.geometry.se2 import compose, rotate_covariances
-from gridslam.geometry.single_pose import as_pose, between, motion_of
+from gridslam.geometry.single_pose import as_pose, is_within
 from gridslam.grid.tiles import TileMaps
 from gridslam.kernels.reference_update import Int32Array
 from gridslam.matching.gauss_newton import EVALUATE_ONLY, GaussNewton
@@ -136,14 +136,11 @@ class ScanMatchedProposal:
         rows = _rows(maps)
         drawn = motion(poses, rng)
         means, covariances = motion.moments(poses)
-        matcher = self.matcher if self._is_moving(poses[0], means[0]) else EVALUATE_ONLY
+        is_standing = is_within(as_pose(poses[0]), as_pose(means[0]), _STANDSTILL_M, _STANDSTILL_RAD)
+        matcher = EVALUATE_ONLY if is_standing else self.matcher
         prior = np.asarray(self.beam_sigma_m**2 * np.linalg.inv(covariances + _LEAST), np.float64)
         match = matcher(maps, rows, drawn, prior, beams)
         return ProposedPoses(match.poses, weigh(maps, rows, match.poses), match)
-
-    def _is_moving(self, pose: FloatArray, mean: FloatArray) -> bool:
-        moved_m, turned_rad = motion_of(between(as_pose(pose), as_pose(mean)))
-        return moved_m > _STANDSTILL_M or turned_rad > _STANDSTILL_RAD
 
 
 @final

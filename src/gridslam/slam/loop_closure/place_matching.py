@@ -8,7 +8,7 @@ import numpy as np
 
 from gridslam.geometry.angles import wrap
 from gridslam.geometry.se2 import between, compose
-from gridslam.geometry.single_pose import as_pose
+from gridslam.geometry.single_pose import as_pose, is_within
 from gridslam.grid.tiles import TileMaps
 from gridslam.mapping.occupancy_grid_mapping import OccupancyGridMapping
 from gridslam.matching.gauss_newton import NO_PRIOR, GaussNewton, cauchy_weights
@@ -23,7 +23,6 @@ from gridslam.slam.loop_closure.key_graph import (
 )
 from gridslam.slam.loop_closure.state import LoopClosureState
 from gridslam.slam.loop_closure.submaps import ROW
-from gridslam.tracking.state import is_within
 from gridslam.types import FloatArray
 
 _RECENT_SUBMAPS = 3
