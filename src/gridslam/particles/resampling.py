@@ -21,6 +21,7 @@ import numpy as np
 from gridslam.arguments import Limits, require_generator
 from gridslam.checked import checked
 from gridslam.errors import ArgumentError
+from gridslam.geometry.se2 import wrap_poses
 from gridslam.parameters import parameters
 from gridslam.types import FloatArray, IntArray
 
@@ -75,6 +76,12 @@ def entropy(log_weights: FloatArray) -> float:
     total = weights.sum()
     drawn = weights > 0
     return float(np.log(total) - weights[drawn] @ shifted[drawn] / total)
+
+
+def compute_spread(poses: FloatArray, log_weights: FloatArray, best: int) -> FloatArray:
+    """Return the weighted covariance (3, 3) of particles (N, 3), normalized log weights (N,), about the best one."""
+    away = wrap_poses(poses - poses[best])
+    return np.asarray((np.exp(log_weights) * away.T) @ away)
 
 
 def require_log_weights(log_weights: FloatArray) -> None:

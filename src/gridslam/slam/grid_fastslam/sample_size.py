@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 
-from gridslam.geometry.angles import wrap
+from gridslam.geometry.se2 import wrap_poses
 from gridslam.particles.kld_sampling import kld_bound
 from gridslam.types import FloatArray
 
@@ -22,7 +22,6 @@ def count_needed(poses: FloatArray, about: FloatArray) -> int:
     Source: Probabilistic Robotics, Table 8.4; D. Fox, Adapting the sample size in particle filters through
     KLD-sampling, IJRR 22 (2003).
     """
-    away = poses - about
-    away[:, 2] = wrap(away[:, 2])
+    away = wrap_poses(poses - about)
     occupied = len(set(map(tuple, np.round(away / _BIN).tolist())))
     return int(kld_bound(np.array(occupied), _ERROR, _Z))

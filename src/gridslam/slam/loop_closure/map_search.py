@@ -8,7 +8,7 @@ from typing import NamedTuple, final
 import numpy as np
 from numpy.typing import NDArray
 
-from gridslam.geometry.angles import wrap
+from gridslam.geometry.se2 import wrap_poses
 from gridslam.grid.tiles import TileMaps
 from gridslam.kernels import TILE
 from gridslam.matching.branch_and_bound import thin_points
@@ -72,8 +72,8 @@ class MapSearch:
         pairs = match_nearest_features(self._features, submap.features, _NEAREST)
         poses = poses_of_pairs(self._features, submap.features, pairs, _MOST_COMPARED)
         if near is not None:
-            away = poses - near
-            poses = poses[(np.hypot(away[:, 0], away[:, 1]) < near_m) & (np.abs(wrap(away[:, 2])) < near_rad)]
+            away = np.abs(wrap_poses(poses - near))
+            poses = poses[(np.hypot(away[:, 0], away[:, 1]) < near_m) & (away[:, 2] < near_rad)]
         if not len(poses):
             return []
         points = submap.collect_points()
@@ -99,6 +99,6 @@ def _select_distinct(poses: FloatArray, weights: NDArray[np.float32]) -> FloatAr
     chosen: list[FloatArray] = []
     while len(left) and len(chosen) < _REFINED:
         chosen.append(left[0])
-        away = left - left[0]
-        left = left[(np.hypot(away[:, 0], away[:, 1]) >= _DISTINCT_M) | (np.abs(wrap(away[:, 2])) >= _DISTINCT_RAD)]
+        away = np.abs(wrap_poses(left - left[0]))
+        left = left[(np.hypot(away[:, 0], away[:, 1]) >= _DISTINCT_M) | (away[:, 2] >= _DISTINCT_RAD)]
     return np.array(chosen)

@@ -7,7 +7,7 @@ import math
 import numpy as np
 
 from gridslam.geometry.angles import wrap
-from gridslam.geometry.se2 import between, compose
+from gridslam.geometry.se2 import between, compose, wrap_poses
 from gridslam.geometry.single_pose import as_pose, is_within
 from gridslam.grid.tiles import TileMaps
 from gridslam.mapping.occupancy_grid_mapping import OccupancyGridMapping
@@ -134,7 +134,8 @@ class PlaceMatching:
         if tracked is None:
             anchor = anchor_of(submap)
             (expected,), covariances = graph.locate(newest, np.array([anchor]))
-            innovation = compute_innovation(*compose(graph.poses[anchor], np.stack([expected, constraint.measurement])))
+            here = compose(graph.poses[anchor], np.stack([expected, constraint.measurement]))
+            innovation = wrap_poses(here[1] - here[0])
             is_far = math.hypot(innovation[0], innovation[1]) > self.filter_max_correction_m
             if is_far or squared_sigmas(covariances[0], innovation) >= _GATE_SIGMAS**2:
                 return False
@@ -184,8 +185,3 @@ def _is_revisit_near(graph: KeyGraph, last: Constraint) -> bool:
 def squared_sigmas(covariance: FloatArray, innovation: FloatArray) -> float:
     """Squared Mahalanobis distance of the innovation (3,) of a match, given the covariance (3, 3) of the drift."""
     return float(innovation @ np.linalg.solve(covariance + _MATCH_COVARIANCE, innovation))
-
-
-def compute_innovation(expected: FloatArray, found: FloatArray) -> FloatArray:
-    """Innovation (3,), map frame, of a pose (3,) that was found from where it is expected, (3,)."""
-    return np.append((found - expected)[:2], wrap(found[2] - expected[2]))
