@@ -74,7 +74,6 @@ class KnownMap:
         if not reach_m > 0:
             raise ArgumentError("reach_m", "a length above 0 m", reach_m)
         self.grid = grid
-        self.occupied = occupied
         self._mapped = self.free | occupied
         self.reach_m = reach_m
         self.threads = threads

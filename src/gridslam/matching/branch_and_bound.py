@@ -21,9 +21,6 @@ from gridslam.kernels import MOST_BEAM_CELLS, backend
 from gridslam.parameters import bounded, parameters
 from gridslam.types import FloatArray, IntArray, Points
 
-_FRAME = 16
-"""Cells without a likelihood all around those of a pyramid's map."""
-
 _MOST_POINTS = 256
 """So many sums of a byte fit in two."""
 
@@ -49,12 +46,6 @@ class Pyramid:
     top: NDArray[np.uint8]
     corner: tuple[int, int]
     resolution_m: float
-
-    @property
-    def shape(self) -> tuple[int, int]:
-        """Rows and columns of the map's cells."""
-        height, width = self.cells.shape
-        return height - 2 * _FRAME, width - 2 * _FRAME
 
     @classmethod
     def of(

@@ -13,9 +13,8 @@ from numpy.typing import NDArray
 from gridslam.checked import checked
 from gridslam.geometry.single_pose import Information, Pose
 from gridslam.grid.tiles import TileMaps
-from gridslam.kernels.reference_update import Int32Array
 from gridslam.parameters import bounded, parameters
-from gridslam.types import BeamEnds, FloatArray, Match, Poses, Rows, StoredScan
+from gridslam.types import BeamEnds, FloatArray, Int32Array, Match, Poses, Rows, StoredScan
 
 MIN_INFORMATION = 0.005
 """Minimum eigenvalue of the position information per inlier beam of a non-degenerate match."""

@@ -16,11 +16,10 @@ from gridslam.checked import checked
 from gridslam.geometry.se2 import compose, rotate_covariances, wrap_poses
 from gridslam.geometry.single_pose import as_pose, is_within
 from gridslam.grid.tiles import TileMaps
-from gridslam.kernels.reference_update import Int32Array
 from gridslam.matching.gauss_newton import EVALUATE_ONLY, GaussNewton
 from gridslam.matching.hill_climbing import HillClimbing
 from gridslam.parameters import Kind, bounded, parameters
-from gridslam.types import BeamEnds, FloatArray, Match, MotionSampler, ScanLikelihood
+from gridslam.types import BeamEnds, FloatArray, Int32Array, Match, MotionSampler, ScanLikelihood
 
 
 @final
