@@ -250,7 +250,8 @@ def match_submap(
 ) -> list[SearchHit]:
     """Search a map for a submap, near a pose (3,) if it is given; the places that its points speak for, best first."""
     hits = []
-    for pose, points in search(submap, near, near_m, near_rad):
+    poses, points = search(submap, near, near_m, near_rad)
+    for pose in poses:
         weights = weigh_known_beams(search.maps, ROW, pose, points, SCALE_M)
         score = log_likelihood(float(weights.sum(dtype=np.float64)), len(weights))
         if score > 0:
