@@ -108,8 +108,8 @@ class PlaceMatching:
             return False
         return float(cauchy_weights(away[known], _MATCHER.cauchy_m).mean()) >= self.inlier_ratio
 
-    def match_tracked_revisit(self, closure_state: LoopClosureState, mapper: OccupancyGridMapping) -> bool:
-        """Match the newest key scan to an old submap at its tracked or filtered pose; return whether that was certain.
+    def match_tracked_revisit(self, closure_state: LoopClosureState, mapper: OccupancyGridMapping) -> None:
+        """Match the newest key scan to an old submap at its tracked or filtered pose; add the constraint if it fits.
 
         No search is needed: the relative pose is known from tracking, or proposed by the filter.
         """
@@ -117,20 +117,20 @@ class PlaceMatching:
         newest = len(graph) - 1
         oldest = submap_of(newest) - _RECENT_SUBMAPS
         if oldest < 0 or len(closure_state.scans.key(newest)) < _MATCHER.min_beams:
-            return False
+            return
         last = _find_last_certain(graph)
         if last is not None and _is_revisit_near(graph, last):
-            return False
+            return
         tracked = None if last is None else self._predict_from_constraint(graph, last, oldest)
         prediction = tracked or self._predict_from_filter(closure_state, oldest)
         if prediction is None:
-            return False
+            return
         submap, guess = prediction
         max_correction_m = 3 * self.certain_sigma_m if tracked is None else _TRACKED_MAX_CORRECTION_M
         maps = closure_state.submap(submap, mapper)
         constraint = self.match(closure_state, maps, newest, submap, guess, max_correction_m, ConstraintSource.TRACKED)
         if constraint is None or abs(wrap(constraint.measurement[2] - guess[2])) > _TRACKED_MAX_TURN_RAD:
-            return False
+            return
         if tracked is None:
             anchor = anchor_of(submap)
             (expected,), covariances = graph.locate(newest, np.array([anchor]))
@@ -138,14 +138,13 @@ class PlaceMatching:
             innovation = wrap_poses(here[1] - here[0])
             is_far = math.hypot(innovation[0], innovation[1]) > self.filter_max_correction_m
             if is_far or squared_sigmas(covariances[0], innovation) >= _GATE_SIGMAS**2:
-                return False
+                return
             sigma_m = float(position_sigmas(covariances)[0])
             if sigma_m > self.certain_sigma_m:
                 if not constraint.determined and sigma_m > 2 * self.certain_sigma_m:
-                    return False
+                    return
                 constraint = constraint._replace(source=ConstraintSource.PROXIMITY)
         graph.add(constraint)
-        return constraint.source is ConstraintSource.TRACKED
 
     def _predict_from_constraint(self, graph: KeyGraph, last: Constraint, oldest: int) -> tuple[int, FloatArray] | None:
         """The submap reached by tracking from a constraint, and the pose of the robot in its frame."""
