@@ -70,8 +70,6 @@ class TiledGrid:
         log_odds = np.zeros((len(ids) * TILE, ids.shape[1] * TILE), np.float32)
         known = np.zeros(log_odds.shape, np.bool_)
         for number, strip_ids in enumerate(ids):
-            if not strip_ids.any():
-                continue
             strip = slice(number * TILE, (number + 1) * TILE)
             cells = self._maps.tiles(strip_ids).swapaxes(0, 1).reshape(TILE, -1)
             np.not_equal(cells, UNKNOWN, out=known[strip])

@@ -56,8 +56,6 @@ class BeamCounts:
         self._scan.update(_ROW, pose[None], beams)
         ids, corner = self._scan.tile_ids(0)
         places = np.argwhere(ids)
-        if not len(places):
-            return
         reported = self._scan.tiles(ids[places[:, 0], places[:, 1]])
         self._scan.clear(0)
         slots = self._slots_of(places + corner)

@@ -116,7 +116,7 @@ class Systematic:
 
     def __call__(self, weights: _Weights, size: _Count, rng: np.random.Generator) -> IntArray:
         """Draw `size` ascending indices of `weights` (N,); see the contract of the module."""
-        ends = np.cumsum(_relative(weights, size, rng))
+        ends = np.cumsum(_relative(weights, rng))
         return _slots(ends, (rng.random() + np.arange(size)) * (ends[-1] / max(size, 1)))
 
 
@@ -131,7 +131,7 @@ class Stratified:
 
     def __call__(self, weights: _Weights, size: _Count, rng: np.random.Generator) -> IntArray:
         """Draw `size` ascending indices of `weights` (N,); see the contract of the module."""
-        ends = np.cumsum(_relative(weights, size, rng))
+        ends = np.cumsum(_relative(weights, rng))
         return _slots(ends, (rng.random(size) + np.arange(size)) * (ends[-1] / max(size, 1)))
 
 
@@ -146,7 +146,7 @@ class Multinomial:
 
     def __call__(self, weights: _Weights, size: _Count, rng: np.random.Generator) -> IntArray:
         """Draw `size` ascending indices of `weights` (N,); see the contract of the module."""
-        ends = np.cumsum(_relative(weights, size, rng))
+        ends = np.cumsum(_relative(weights, rng))
         return _slots(ends, np.sort(rng.random(size)) * ends[-1])
 
 
@@ -161,7 +161,7 @@ class Residual:
 
     def __call__(self, weights: _Weights, size: _Count, rng: np.random.Generator) -> IntArray:
         """Draw `size` ascending indices of `weights` (N,); see the contract of the module."""
-        relative = _relative(weights, size, rng)
+        relative = _relative(weights, rng)
         expected = relative * size / relative.sum()
         counts = np.floor(expected).astype(np.int64)
         rest = size - int(counts.sum())
@@ -193,18 +193,16 @@ class ResamplingWheel:
 
     def __call__(self, weights: _Weights, size: _Count, rng: np.random.Generator) -> IntArray:
         """Draw `size` ascending indices of `weights` (N,); see the contract of the module."""
-        relative = _relative(weights, size, rng)
+        relative = _relative(weights, rng)
         ends = np.cumsum(relative)
         start = rng.random() * ends[-1]
         steps = rng.random(size) * (2.0 * len(relative) / max(size, 1))  # the greatest weight is 1
         return _slots(ends, np.sort(np.mod(start + np.cumsum(steps), ends[-1])))
 
 
-def _relative(weights: FloatArray, size: int, rng: np.random.Generator) -> FloatArray:
+def _relative(weights: FloatArray, rng: np.random.Generator) -> FloatArray:
     """Weights divided by the greatest: subnormal and huge ones add up safely, and sums of equal ones are exact."""
     require_generator(rng)
-    if size < 0:
-        raise ArgumentError("size", "a number of particles >= 0", size)
     given = np.asarray(weights, dtype=np.float64)
     if given.ndim != 1 or len(given) == 0:
         raise ArgumentError("weights", "shape (N,) with N >= 1", given.shape)

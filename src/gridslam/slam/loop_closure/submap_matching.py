@@ -161,8 +161,6 @@ def propose_poses(old: SubmapFeatures, new: SubmapFeatures) -> list[FloatArray]:
     """
     pairs = match_features(old, new)
     rough = poses_of_pairs(old, new, pairs, _MOST_PAIRS)
-    if not len(rough):
-        return []
     a, b = old.points[pairs[:, 0]], new.points[pairs[:, 1]]
     agree = np.square(transform_points(rough[:, None], b) - a).sum(axis=2) < _SAME_M**2
     counts = agree.sum(axis=1)
