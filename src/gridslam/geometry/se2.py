@@ -233,17 +233,12 @@ def lever_arm_jacobian(frames: FloatArray, carried: FloatArray) -> FloatArray:
     return jacobian
 
 
-def _as_poses(values: ArrayLike, name: str, width: int = 3) -> FloatArray:
-    array = np.asarray(values, dtype=np.float64)
-    if array.ndim == 0 or array.shape[-1] != width:
-        raise ArgumentError(name, f"shape (..., {width})", array.shape)
-    return array
-
-
 def _components(values: ArrayLike, name: str, width: int = 3) -> Component:
     if type(values) is np.ndarray and values.shape == (width,) and values.dtype is _FLOAT64:
         return values.tolist()  # what a filter asks most
-    array = _as_poses(values, name, width)
+    array = np.asarray(values, dtype=np.float64)
+    if array.ndim == 0 or array.shape[-1] != width:
+        raise ArgumentError(name, f"shape (..., {width})", array.shape)
     return array.tolist() if array.ndim == 1 else [array[..., k] for k in range(width)]
 
 

@@ -18,6 +18,9 @@ CLUSTER_RADIUS_M = 1.0
 CLUSTER_RADIUS_RAD = 0.5
 """Headings within this angle of the estimate's belong to its cluster."""
 
+CLUSTER_COVARIANCE = np.diag([CLUSTER_RADIUS_M / 2, CLUSTER_RADIUS_M / 2, CLUSTER_RADIUS_RAD / 2]) ** 2
+"""Covariance (3, 3) of a pose that is known to be in a cluster, as wide as half of it."""
+
 _FEW = 10.0  # effective particles, below which their spread is that of chance
 _MOST_BINS = 1 << 20
 _SHIFTS = 3  # towards the mean of what is near; the first centre is off by less than half a bin
@@ -125,8 +128,7 @@ class PoseHypotheses(NamedTuple):
         """Mean square (3, 3) of how far they are from a pose (3,), each by its odds and as wide as half a cluster."""
         away = wrap_poses(self.poses - pose)
         shares = np.exp(self.log_odds) / max(self.odds, 1e-300)
-        width = np.diag([CLUSTER_RADIUS_M / 2, CLUSTER_RADIUS_M / 2, CLUSTER_RADIUS_RAD / 2])
-        return np.asarray((shares * away.T) @ away + width**2)
+        return np.asarray((shares * away.T) @ away + CLUSTER_COVARIANCE)
 
 
 NO_HYPOTHESES = PoseHypotheses(np.empty((0, 3)), np.empty(0))

@@ -55,14 +55,6 @@ def _rows(maps: TileMaps) -> Int32Array:
 _LEAST = np.diag([1e-8, 1e-8, 1e-10])
 """Variances (m^2, rad^2) added to those of a motion, so that one without noise along some direction is invertible."""
 
-_AT_ORIGIN = np.zeros((1, 3))
-
-
-def _information(covariance: FloatArray, headings: FloatArray) -> FloatArray:
-    """Inverse covariances (N, 3, 3), world frame, of a motion of `covariance` (3, 3), robot frame, at headings (N,)."""
-    return rotate_covariances(np.asarray(np.linalg.inv(covariance + _LEAST), np.float64), headings)
-
-
 _STANDSTILL_M = 0.02
 _STANDSTILL_RAD = 0.02
 """Where the motion's mean is within both, particles are not matched: a scan at rest has nothing to correct."""
@@ -178,9 +170,10 @@ class ImprovedProposal:
     ) -> ProposedPoses:
         """Move particles at poses (N, 3), each with its row of `maps`."""
         rows = _rows(maps)
-        (increment,), (covariance,) = motion.moments(_AT_ORIGIN)
+        (increment,), (covariance,) = motion.moments(np.zeros((1, 3)))
         means = compose(poses, increment)
-        prior = _information(covariance, poses[:, 2])
+        information = np.asarray(np.linalg.inv(covariance + _LEAST), np.float64)  # of the motion, robot frame
+        prior = rotate_covariances(information, poses[:, 2])
         match = self.matcher(maps, rows, means, self.beam_sigma_m**2 * prior, beams)
         information = match.information / self.beam_sigma_m**2 + prior
         factor = np.linalg.cholesky(information)
