@@ -141,8 +141,7 @@ class KnownMap:
 
     def _find_cells(self, which: NDArray[np.int64] | slice) -> tuple[NDArray[np.int32], NDArray[np.int32]]:
         """Rows and columns of some of the free cells."""
-        rows, columns = np.divmod(self._free_cells[which], np.int32(self.free.shape[1]))
-        return rows, columns
+        return np.divmod(self._free_cells[which], np.int32(self.free.shape[1]))
 
     def blurred_sigma_m(self, sigma_m: float) -> float:
         """Standard deviation of an end's distance to the map's obstacles: a beam's, and the map's rounding to cells."""

@@ -131,8 +131,7 @@ def counting_map(counts: BeamCounts) -> OccupancyGrid:
     def reflect(hits: FloatArray, misses: FloatArray) -> FloatArray:
         odds: FloatArray = np.divide(hits, misses, out=np.full(hits.shape, np.inf), where=misses > 0)
         with np.errstate(divide="ignore"):  # never hit: log 0
-            bounded: FloatArray = np.clip(np.log(odds), -_CERTAIN, _CERTAIN)
-        return bounded
+            return np.clip(np.log(odds), -_CERTAIN, _CERTAIN)
 
     return _unfold(counts, reflect)
 

@@ -225,13 +225,11 @@ def thin_points(
 
     def cells(grid: int) -> IntArray:
         whole = np.floor(points * (1 / (finest_m * 1.1**grid))).astype(np.int64)
-        numbers: IntArray = (whole[:, 0] << 32) + whole[:, 1]
-        return numbers
+        return np.asarray((whole[:, 0] << 32) + whole[:, 1])
 
     def count(grid: int) -> int:
         return 1 + int(np.count_nonzero(np.diff(np.sort(cells(grid)))))
 
     grid = 0 if len(points) <= most else bisect_left(range(200), -most, key=lambda grid: -count(grid))
     firsts = np.unique(cells(grid), return_index=True)[1]
-    evenly: FloatArray = points[np.sort(firsts)]
-    return evenly
+    return np.asarray(points[np.sort(firsts)])

@@ -162,8 +162,7 @@ def thin(beams: BeamEnds, side_m: float) -> BeamEnds:
 
 def cauchy_weights(distances: NDArray[np.float32], scale_m: float) -> NDArray[np.float32]:
     """Cauchy weights (...), in [0, 1], of distances (...) in m to the nearest obstacle; half at `scale_m`."""
-    weights: NDArray[np.float32] = (1 / (1 + np.square(distances / scale_m))).astype(np.float32, copy=False)
-    return weights
+    return np.asarray(1 / (1 + np.square(distances / scale_m)), np.float32)
 
 
 def weigh_known_beams(

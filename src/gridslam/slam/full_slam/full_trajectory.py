@@ -100,8 +100,7 @@ def path_fractions(keys: IntArray, key_from_base: FloatArray) -> FloatArray:
     driven = np.concatenate([[0.0], np.cumsum(moved)])
     starts = driven[np.append(0, arrivals)]
     whole = np.append(np.maximum(np.diff(starts), 1e-12), 1.0)
-    fraction: FloatArray = (driven - starts[keys]) / whole[keys]
-    return fraction
+    return np.asarray((driven - starts[keys]) / whole[keys])
 
 
 def drift_covariances(graph: PoseGraph) -> FloatArray:

@@ -162,6 +162,5 @@ class ReportBuilder:
 
     def _drift_at(self, pose: FloatArray, moments: FloatArray, first_pose: FloatArray) -> FloatArray:
         """Covariance (3, 3) of the drift of a pose (3,) since the first one, and of the error of the scale."""
-        drift: FloatArray = propagate_covariances(pose[None], moments[None])[0]
-        drift += scale_covariances(_SCALE_SIGMA, (pose - first_pose)[None, :2])[0]
-        return drift
+        of_scale = scale_covariances(_SCALE_SIGMA, (pose - first_pose)[None, :2])
+        return np.asarray((propagate_covariances(pose[None], moments[None]) + of_scale)[0])

@@ -144,8 +144,7 @@ class GridFastSlamState(OwnedState):
     @property
     def best_pose(self) -> FloatArray:
         """Pose (3,) of the best particle at the last key scan, map frame."""
-        pose: FloatArray = self.poses[self.best]
-        return pose
+        return np.asarray(self.poses[self.best])
 
     def best_trajectory(self) -> FloatArray:
         """Poses (T, 3) of the best particle at all key scans."""

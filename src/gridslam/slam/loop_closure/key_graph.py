@@ -344,8 +344,7 @@ class KeyGraph:
 
     def _drift_at(self, key: int) -> FloatArray:
         """Moments (9,) of the drift from key scan 0 to another, along the most certain known way."""
-        drift: FloatArray = _rows(self._sums, _COLUMNS)[key, 11:] + self._gains[bisect_right(self._arrivals, key)]
-        return drift
+        return _rows(self._sums, _COLUMNS)[key, 11:] + self._gains[bisect_right(self._arrivals, key)]
 
     def _shorten_ways(self, constraint: Constraint, moments: FloatArray) -> None:
         """Let the way to a key scan and to those after it come by a constraint if it is more certain so."""

@@ -160,7 +160,7 @@ class SubmapRecognition:
         """Expect older submaps that may show the same place, and count those that the bound of the drift leaves out."""
         if not newer:
             return [], 0
-        anchors = pairs.anchors[:newer]
+        anchors = np.array([submap.anchor for submap in pairs.submaps[:newer]], np.int64)
         key = pairs.submaps[newer].anchor
         way = graph.driven_m()
         labels = graph.label_rigid_components()
