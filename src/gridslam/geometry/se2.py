@@ -173,6 +173,13 @@ def adjoint(pose: ArrayLike) -> FloatArray:
     return _matrix(c, -s, y, s, c, -x, 0, 0, 1)
 
 
+@checked
+def wrap_poses(poses: FloatArray) -> FloatArray:
+    """Bring theta of poses (..., 3), of sums or of differences of them, to [-pi, pi), in place, and return them."""
+    poses[..., 2] = wrap(poses[..., 2])
+    return poses
+
+
 def rotate_covariances(covariances: FloatArray, angles: ArrayLike) -> FloatArray:
     """Rotate covariances, or information matrices, (..., 3, 3) of x, y and theta into other axes: R C R'.
 
@@ -226,17 +233,12 @@ def lever_arm_jacobian(frames: FloatArray, carried: FloatArray) -> FloatArray:
     return jacobian
 
 
-def _as_poses(values: ArrayLike, name: str, width: int = 3) -> FloatArray:
-    array = np.asarray(values, dtype=np.float64)
-    if array.ndim == 0 or array.shape[-1] != width:
-        raise ArgumentError(name, f"shape (..., {width})", array.shape)
-    return array
-
-
 def _components(values: ArrayLike, name: str, width: int = 3) -> Component:
     if type(values) is np.ndarray and values.shape == (width,) and values.dtype is _FLOAT64:
         return values.tolist()  # what a filter asks most
-    array = _as_poses(values, name, width)
+    array = np.asarray(values, dtype=np.float64)
+    if array.ndim == 0 or array.shape[-1] != width:
+        raise ArgumentError(name, f"shape (..., {width})", array.shape)
     return array.tolist() if array.ndim == 1 else [array[..., k] for k in range(width)]
 
 

@@ -88,3 +88,9 @@ def motion_of(increment: Pose) -> tuple[float, float]:
     """Return metres and radians of an increment, both >= 0."""
     x, y, turn = increment
     return math.hypot(x, y), abs(turn)
+
+
+def is_within(a: Pose, b: Pose, metres: float, radians: float) -> bool:
+    """Return whether poses are nearer to each other than both."""
+    near = math.hypot(a[0] - b[0], a[1] - b[1]) < metres
+    return near and abs(math.remainder(a[2] - b[2], math.tau)) < radians

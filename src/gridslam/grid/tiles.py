@@ -70,8 +70,6 @@ class TiledGrid:
         log_odds = np.zeros((len(ids) * TILE, ids.shape[1] * TILE), np.float32)
         known = np.zeros(log_odds.shape, np.bool_)
         for number, strip_ids in enumerate(ids):
-            if not strip_ids.any():
-                continue
             strip = slice(number * TILE, (number + 1) * TILE)
             cells = self._maps.tiles(strip_ids).swapaxes(0, 1).reshape(TILE, -1)
             np.not_equal(cells, UNKNOWN, out=known[strip])
@@ -91,8 +89,7 @@ def _make_cone(reach_cells: float) -> NDArray[np.uint8]:
     """Return the field about one obstacle, (2 r + 1, 2 r + 1) cells with r the whole part of its reach."""
     r = int(reach_cells)
     apart = np.hypot(*np.mgrid[-r : r + 1, -r : r + 1])
-    cone: NDArray[np.uint8] = np.rint(255 * np.maximum(0, 1 - apart / reach_cells)).astype(np.uint8)
-    return cone
+    return np.asarray(np.rint(255 * np.maximum(0, 1 - apart / reach_cells)), np.uint8)
 
 
 @final
@@ -337,10 +334,8 @@ class TileMaps:
         Capped at `reach_m`; `rows` (K,): index of the map of each pose.
         """
         rows = np.ascontiguousarray(rows, np.int32)
-        found: NDArray[np.float32] = backend.distances(
-            *self._view, rows, poses, points, self.resolution_m, self.reach_cells, self.threads
-        )
-        return found
+        settings = self.resolution_m, self.reach_cells, self.threads
+        return np.asarray(backend.distances(*self._view, rows, poses, points, *settings), np.float32)
 
     def cast_rays(
         self, rows: _RowNumbers, poses: Poses, origin: Annotated[FloatArray, 2], directions: Points, max_m: float
@@ -357,8 +352,7 @@ class TileMaps:
 
     def is_known(self, row: _Row, points: Points, pose: Annotated[FloatArray, 3] = _ORIGIN) -> NDArray[np.bool_]:
         """Return whether the cells (B,) of points (B, 2), seen from a pose (3,), were observed, in one map."""
-        found: NDArray[np.bool_] = backend.known_cells(*self._view, row, pose, points, self.resolution_m)
-        return found
+        return np.asarray(backend.known_cells(*self._view, row, pose, points, self.resolution_m), np.bool_)
 
     def tiled(self, row: _Row) -> TiledGrid:
         """Return the map as a rectangle, cut to the tiles that hold something, that stays in them."""

@@ -150,8 +150,7 @@ def known_cells(
     """Whether something is known of the cells (B,) of map `row` in which points (B, 2) lie, seen from a pose (3,)."""
     x, y = (cells_within(np.floor(at[0] * (1.0 / resolution))) for at in transform_to_world(pose[None], points))
     addresses = cell_addresses(roots, first, pages, row, y.astype(np.int64), x.astype(np.int64))
-    known: NDArray[np.bool_] = log_odds.reshape(-1)[addresses] != unknown_of(log_odds)
-    return known
+    return np.asarray(log_odds.reshape(-1)[addresses] != unknown_of(log_odds))
 
 
 def cast_rays(
@@ -440,8 +439,7 @@ def _sum_some(
     f00, f01, f10, f11 = ((patch >> shift & 255).astype(np.float64) for shift in (0, 8, 16, 24))
     low = f00 + a * (f01 - f00)
     high = f10 + a * (f11 - f10)
-    sums: FloatArray = (low + b * (high - low)).sum(axis=1)
-    return sums
+    return np.asarray((low + b * (high - low)).sum(axis=1))
 
 
 Bytes = NDArray[np.uint8]
@@ -585,5 +583,4 @@ def _within(
     away[..., 0] = np.arange(x0, x1) + 0.5 - centre[0]
     away[..., 1] = (np.arange(y0, y1) + 0.5 - centre[1])[:, None]
     away[..., 2] = heading - centre[2]
-    inside: NDArray[np.bool_] = np.einsum("yxi,ij,yxj->yx", away, information, away) <= distance * distance
-    return inside
+    return np.asarray(np.einsum("yxi,ij,yxj->yx", away, information, away) <= distance * distance)

@@ -57,8 +57,7 @@ def transform_to_world(poses: FloatArray, points: FloatArray) -> tuple[FloatArra
 
 def cells_within(cells: FloatArray, most: float = FARTHEST) -> FloatArray:
     """Numbers of cells within `most` of 0, so that an integer holds them; a NaN becomes the least."""
-    found: FloatArray = np.fmin(np.fmax(cells, -most), most)
-    return found
+    return np.fmin(np.fmax(cells, -most), most)
 
 
 def _cells(poses: FloatArray, points: FloatArray, resolution: float) -> IntArray:
@@ -87,8 +86,7 @@ def cell_addresses(
     inside = (py >= 0) & (py < roots.shape[1]) & (px >= 0) & (px < roots.shape[2])
     page = np.where(inside, roots[rows, np.where(inside, py, 0), np.where(inside, px, 0)], 0)
     tile = pages[page, ty & (PAGE - 1), tx & (PAGE - 1)].astype(np.int64)
-    found: IntArray = (((tile << _TILE_BITS) + (y & (TILE - 1))) << _TILE_BITS) + (x & (TILE - 1))
-    return found
+    return np.asarray((((tile << _TILE_BITS) + (y & (TILE - 1))) << _TILE_BITS) + (x & (TILE - 1)))
 
 
 def ray_cells(start: IntArray, ends: IntArray) -> IntArray:
@@ -105,8 +103,7 @@ def ray_cells(start: IntArray, ends: IntArray) -> IntArray:
     steps = np.minimum(lengths, FREE_CELLS)
     i = np.arange(steps.sum()) - np.repeat(np.cumsum(steps) - steps, steps)
     n = np.repeat(lengths, steps)[:, None]
-    cells: IntArray = start + (2 * i[:, None] * np.repeat(difference, steps, axis=0) + n) // (2 * n)
-    return cells
+    return np.asarray(start + (2 * i[:, None] * np.repeat(difference, steps, axis=0) + n) // (2 * n))
 
 
 def tiles_on_rays(

@@ -8,8 +8,7 @@ from typing import Annotated, Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from gridslam.geometry.angles import wrap
-from gridslam.geometry.se2 import compose, lever_arm_jacobian
+from gridslam.geometry.se2 import compose, lever_arm_jacobian, wrap_poses
 from gridslam.localization.known_map import PoseLikelihood
 from gridslam.types import FloatArray, IntArray
 
@@ -18,6 +17,9 @@ CLUSTER_RADIUS_M = 1.0
 
 CLUSTER_RADIUS_RAD = 0.5
 """Headings within this angle of the estimate's belong to its cluster."""
+
+CLUSTER_COVARIANCE = np.diag([CLUSTER_RADIUS_M / 2, CLUSTER_RADIUS_M / 2, CLUSTER_RADIUS_RAD / 2]) ** 2
+"""Covariance (3, 3) of a pose that is known to be in a cluster, as wide as half of it."""
 
 _FEW = 10.0  # effective particles, below which their spread is that of chance
 _MOST_BINS = 1 << 20
@@ -57,8 +59,7 @@ def estimate_pose(poses: FloatArray, weights: FloatArray) -> PoseEstimate:
     away = _relative_coordinates(places, centre)
     for _ in range(_SHIFTS):
         shares = np.where(near, weights, 0.0)
-        centre = centre + np.einsum("in,n->i", away, shares) / shares.sum()
-        centre[2] = wrap(centre[2])
+        centre = wrap_poses(centre + np.einsum("in,n->i", away, shares) / shares.sum())
         away = _relative_coordinates(places, centre)
         near = _is_in_cluster(away)
     mass = float(weights[near].sum())
@@ -125,11 +126,9 @@ class PoseHypotheses(NamedTuple):
 
     def spread_about(self, pose: FloatArray) -> FloatArray:
         """Mean square (3, 3) of how far they are from a pose (3,), each by its odds and as wide as half a cluster."""
-        away = self.poses - pose
+        away = wrap_poses(self.poses - pose)
         shares = np.exp(self.log_odds) / max(self.odds, 1e-300)
-        away[:, 2] = wrap(away[:, 2])
-        width = np.diag([CLUSTER_RADIUS_M / 2, CLUSTER_RADIUS_M / 2, CLUSTER_RADIUS_RAD / 2])
-        return np.asarray((shares * away.T) @ away + width**2)
+        return np.asarray((shares * away.T) @ away + CLUSTER_COVARIANCE)
 
 
 NO_HYPOTHESES = PoseHypotheses(np.empty((0, 3)), np.empty(0))
@@ -226,8 +225,7 @@ def sample_hypotheses(
         return np.empty((0, 3)), np.empty(0)
     odds = np.exp(hypotheses.log_odds[better])
     poses = hypotheses.poses[better][rng.choice(len(odds), size=count, p=odds / odds.sum())]
-    poses += rng.normal(size=poses.shape) * JITTER
-    poses[:, 2] = wrap(poses[:, 2])
+    poses = wrap_poses(poses + rng.normal(size=poses.shape) * JITTER)
     return poses, np.full(count, math.log(odds.sum() / (1 + odds.sum()) / count))
 
 
@@ -255,8 +253,7 @@ def refine_places(places: FloatArray, agree: PoseLikelihood, rng: np.random.Gene
     noise = rng.standard_normal((len(places), _JITTER_SAMPLES, 3))
     noise *= JITTER
     noise[:, 0] = 0
-    tried = places[:, None] + noise
-    tried[..., 2] = wrap(tried[..., 2])
+    tried = wrap_poses(places[:, None] + noise)
     shares = agree(tried.reshape(-1, 3)).reshape(len(places), _JITTER_SAMPLES)
     best = shares.argmax(axis=1)[:, None]
     return np.take_along_axis(tried, best[..., None], 1)[:, 0], np.take_along_axis(shares, best, 1)[:, 0]

@@ -14,10 +14,11 @@ from numpy.typing import ArrayLike
 
 from gridslam.arguments import freeze
 from gridslam.errors import ArgumentError
-from gridslam.geometry.angles import wrap
+from gridslam.geometry.se2 import wrap_poses
 from gridslam.models.association import Association, KnownCorrespondence
 from gridslam.models.landmark import LandmarkModel, LandmarkObservations, RangeBearing
 from gridslam.models.systematic_errors import ERRORS, NO_ERRORS, SystematicErrors, linearize
+from gridslam.particles.initial import repeat_pose
 from gridslam.types import FloatArray, IntArray, MotionSampler
 
 
@@ -136,16 +137,14 @@ class EkfLocalization:
 
         Raises ArgumentError for a pose that is not finite, or a matrix that is no covariance.
         """
-        mean = freeze(pose, np.float64, (3,), "pose")
+        mean = repeat_pose(1, pose)[0]
         spread = freeze(covariance, np.float64, (3, 3), "covariance")
-        if not np.isfinite(mean).all():
-            raise ArgumentError("pose", "finite x, y, theta", mean.tolist())
         if not np.isfinite(spread).all() or not np.allclose(spread, spread.T) or np.linalg.eigvalsh(spread)[0] < 0:
             raise ArgumentError("covariance", "a symmetric matrix without negative eigenvalue", spread.tolist())
         whole = np.zeros((3 + ERRORS, 3 + ERRORS))
         whole[:3, :3] = spread
         whole[3:, 3:] = self.bias.covariance()
-        return PoseGaussian(np.array([mean[0], mean[1], wrap(float(mean[2])), *np.zeros(ERRORS)]), whole)
+        return PoseGaussian(np.append(mean, np.zeros(ERRORS)), whole)
 
     def step(
         self, belief: PoseGaussian, motion: MotionSampler, observations: LandmarkObservations
@@ -217,8 +216,7 @@ class EkfLocalization:
         L = np.linalg.cholesky(S.reshape(2 * count, 2 * count))
         W = np.linalg.solve(L, H @ P)
         whitened = np.linalg.solve(L, residuals)
-        mean = belief.mean + whitened @ W
-        mean[2] = wrap(float(mean[2]))
+        mean = wrap_poses(belief.mean + whitened @ W)
         log_likelihood = -0.5 * float(whitened @ whitened) - count * math.log(2 * math.pi)
         log_likelihood -= float(np.log(np.diagonal(L)).sum())
         return PoseGaussian(mean, P - W.T @ W), log_likelihood

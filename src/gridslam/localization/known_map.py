@@ -74,7 +74,6 @@ class KnownMap:
         if not reach_m > 0:
             raise ArgumentError("reach_m", "a length above 0 m", reach_m)
         self.grid = grid
-        self.occupied = occupied
         self._mapped = self.free | occupied
         self.reach_m = reach_m
         self.threads = threads
@@ -142,8 +141,7 @@ class KnownMap:
 
     def _find_cells(self, which: NDArray[np.int64] | slice) -> tuple[NDArray[np.int32], NDArray[np.int32]]:
         """Rows and columns of some of the free cells."""
-        rows, columns = np.divmod(self._free_cells[which], np.int32(self.free.shape[1]))
-        return rows, columns
+        return np.divmod(self._free_cells[which], np.int32(self.free.shape[1]))
 
     def blurred_sigma_m(self, sigma_m: float) -> float:
         """Standard deviation of an end's distance to the map's obstacles: a beam's, and the map's rounding to cells."""

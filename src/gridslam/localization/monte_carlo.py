@@ -15,11 +15,9 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from gridslam.checked import checked
-from gridslam.geometry.angles import wrap
-from gridslam.geometry.se2 import between, compose, log
+from gridslam.geometry.se2 import between, compose, log, wrap_poses
 from gridslam.localization.belief import (
-    CLUSTER_RADIUS_M,
-    CLUSTER_RADIUS_RAD,
+    CLUSTER_COVARIANCE,
     PoseEstimate,
     estimate_pose,
     join_hypotheses,
@@ -65,7 +63,6 @@ from gridslam.types import (
 
 _UNKNOWN_POSE = PoseEstimate(np.zeros(3), np.diag([1e6, 1e6, math.pi**2]), 0.0)
 _ROUNDING = 1e-6 * np.eye(3)  # a millimetre, for beliefs without any spread
-_CLUSTER = np.diag([CLUSTER_RADIUS_M / 2, CLUSTER_RADIUS_M / 2, CLUSTER_RADIUS_RAD / 2]) ** 2
 _MAX_EVALUATED = 500  # particles whose agreement with a scan stands for that of all
 
 
@@ -193,18 +190,14 @@ class MonteCarloLocalization:
         poses = np.empty((0, 3)) if particles is None else copy_poses(particles)
         log_weights = np.full(len(poses), -math.log(max(len(poses), 1)))
         known = len(poses) > 0
-        estimate = estimate_pose(poses, np.exp(log_weights)) if known else _UNKNOWN_POSE
-        found_m = math.inf if known else 0.0
-        averages = self.configuration.recovery.begin()
-        outside = CERTAINLY_INSIDE if known else None
         return MonteCarloState(
             poses,
             log_weights,
-            averages,
-            estimate,
-            found_m,
+            self.configuration.recovery.begin(),
+            estimate_pose(poses, np.exp(log_weights)) if known else _UNKNOWN_POSE,
+            driven_since_found_m=math.inf if known else 0.0,
             verified=known,
-            outside_log_odds=outside,
+            outside_log_odds=CERTAINLY_INSIDE if known else None,
             looking=not known,
         )
 
@@ -350,8 +343,7 @@ class MonteCarloLocalization:
         others = zip(found.information[1:], found.score[1:].tolist(), strict=True)
         kept = [True, *(degenerate_direction(*other, matcher.min_information) is None for other in others)]
         poses = found.poses[kept]
-        away = poses - pose
-        away[:, 2] = wrap(away[:, 2])
+        away = wrap_poses(poses - pose)
         agreement = matcher.cauchy_m**2 * found.score[kept]  # minus the sum of w d^2, to a constant
         cost = ((away @ prior) * away).sum(axis=1) - agreement
         return np.asarray(poses[cost.argmin()])
@@ -457,7 +449,7 @@ class MonteCarloLocalization:
         if state.verified or self._lost_probability(state) > self.configuration.lost_above:
             return
         found, alike_m = find_rivals(
-            self.map, reported, state.recent, lambda guesses: self._match_near(guesses, _CLUSTER, beams), rng
+            self.map, reported, state.recent, lambda guesses: self._match_near(guesses, CLUSTER_COVARIANCE, beams), rng
         )
         state.outside_log_odds = bound_outside_log_odds(state.outside_log_odds, state.driven_since_found_m, alike_m)
         state.hypotheses = join_hypotheses(state.hypotheses, found, reported)

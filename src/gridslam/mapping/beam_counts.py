@@ -56,8 +56,6 @@ class BeamCounts:
         self._scan.update(_ROW, pose[None], beams)
         ids, corner = self._scan.tile_ids(0)
         places = np.argwhere(ids)
-        if not len(places):
-            return
         reported = self._scan.tiles(ids[places[:, 0], places[:, 1]])
         self._scan.clear(0)
         slots = self._slots_of(places + corner)
@@ -133,8 +131,7 @@ def counting_map(counts: BeamCounts) -> OccupancyGrid:
     def reflect(hits: FloatArray, misses: FloatArray) -> FloatArray:
         odds: FloatArray = np.divide(hits, misses, out=np.full(hits.shape, np.inf), where=misses > 0)
         with np.errstate(divide="ignore"):  # never hit: log 0
-            bounded: FloatArray = np.clip(np.log(odds), -_CERTAIN, _CERTAIN)
-        return bounded
+            return np.clip(np.log(odds), -_CERTAIN, _CERTAIN)
 
     return _unfold(counts, reflect)
 

@@ -68,8 +68,7 @@ class KnownPoses:
         high = int(self._stamps.searchsorted(stamp_ns, "right"))
         if low < high:
             self._asked[stamp_ns] += 1
-            pose: FloatArray = self._poses[min(low + self._asked[stamp_ns], high) - 1].copy()
-            return pose
+            return np.array(self._poses[min(low + self._asked[stamp_ns], high) - 1])
         passed = self._stamps[max(low - 1, 0) : low + 1] - stamp_ns  # of the poses before and after
         if abs(passed).min() > _EXACT_NS:
             if len(passed) == 1:

@@ -13,7 +13,7 @@ from gridslam.grid.cells import Evidence
 from gridslam.grid.tiles import MOST_TILES, TileMaps
 from gridslam.models.inverse_sensor import InverseSensorModel
 from gridslam.parameters import bounded, parameters
-from gridslam.types import Beams, Int32Array, Poses
+from gridslam.types import Beams, Poses
 
 
 @final
@@ -68,5 +68,4 @@ class OccupancyGridMapping:
 
     def __call__(self, maps: TileMaps, poses: Poses, beams: Beams) -> None:
         """Insert one scan into every map, seen from its own pose of poses (rows, 3)."""
-        rows: Int32Array = np.arange(len(maps), dtype=np.int32)
-        maps.update(rows, poses, beams)
+        maps.update(np.arange(len(maps), dtype=np.int32), poses, beams)

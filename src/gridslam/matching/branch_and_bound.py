@@ -21,9 +21,6 @@ from gridslam.kernels import MOST_BEAM_CELLS, backend
 from gridslam.parameters import bounded, parameters
 from gridslam.types import FloatArray, IntArray, Points
 
-_FRAME = 16
-"""Cells without a likelihood all around those of a pyramid's map."""
-
 _MOST_POINTS = 256
 """So many sums of a byte fit in two."""
 
@@ -49,12 +46,6 @@ class Pyramid:
     top: NDArray[np.uint8]
     corner: tuple[int, int]
     resolution_m: float
-
-    @property
-    def shape(self) -> tuple[int, int]:
-        """Rows and columns of the map's cells."""
-        height, width = self.cells.shape
-        return height - 2 * _FRAME, width - 2 * _FRAME
 
     @classmethod
     def of(
@@ -234,13 +225,11 @@ def thin_points(
 
     def cells(grid: int) -> IntArray:
         whole = np.floor(points * (1 / (finest_m * 1.1**grid))).astype(np.int64)
-        numbers: IntArray = (whole[:, 0] << 32) + whole[:, 1]
-        return numbers
+        return np.asarray((whole[:, 0] << 32) + whole[:, 1])
 
     def count(grid: int) -> int:
         return 1 + int(np.count_nonzero(np.diff(np.sort(cells(grid)))))
 
     grid = 0 if len(points) <= most else bisect_left(range(200), -most, key=lambda grid: -count(grid))
     firsts = np.unique(cells(grid), return_index=True)[1]
-    evenly: FloatArray = points[np.sort(firsts)]
-    return evenly
+    return np.asarray(points[np.sort(firsts)])

@@ -13,9 +13,8 @@ from numpy.typing import NDArray
 from gridslam.checked import checked
 from gridslam.geometry.single_pose import Information, Pose
 from gridslam.grid.tiles import TileMaps
-from gridslam.kernels.reference_update import Int32Array
 from gridslam.parameters import bounded, parameters
-from gridslam.types import BeamEnds, FloatArray, Match, Poses, Rows, StoredScan
+from gridslam.types import BeamEnds, FloatArray, Int32Array, Match, Poses, Rows, StoredScan
 
 MIN_INFORMATION = 0.005
 """Minimum eigenvalue of the position information per inlier beam of a non-degenerate match."""
@@ -89,18 +88,17 @@ class GaussNewton:
         self, maps: TileMaps, rows: Rows, guesses: Poses, priors: Annotated[FloatArray, "K", 3, 3], beams: BeamEnds
     ) -> Match:
         """Match the scan to maps `rows` (K,) from `guesses` (K, 3) with prior information (K, 3, 3)."""
-        passes = self.max_iterations if len(beams) >= self.min_beams else 0
-        return Match(*maps.match(rows, guesses, priors, beams.ends, passes, *self._settings(maps)))
+        return Match(*maps.match(rows, guesses, priors, beams.ends, *self._settings(maps, beams)))
 
     def match_pose(self, maps: TileMaps, row: int, guess: Pose, prior: Information, beams: BeamEnds) -> PoseMatch:
         """Match the scan to map `row` from one guess: as by a call with K = 1, but without an array for each number."""
-        passes = self.max_iterations if len(beams) >= self.min_beams else 0
-        return PoseMatch(*maps.match_pose(row, guess, prior, beams.ends, passes, *self._settings(maps)))
+        return PoseMatch(*maps.match_pose(row, guess, prior, beams.ends, *self._settings(maps, beams)))
 
-    def _settings(self, maps: TileMaps) -> tuple[float | bool, ...]:
+    def _settings(self, maps: TileMaps, beams: BeamEnds) -> tuple[float | bool, ...]:
         """Return the arguments of the kernels, in cells of the maps."""
         cell = maps.resolution_m
         return (
+            self.max_iterations if len(beams) >= self.min_beams else 0,
             self.cauchy_m / cell,
             self.max_step_m / cell,
             self.max_step_rad,
@@ -164,8 +162,7 @@ def thin(beams: BeamEnds, side_m: float) -> BeamEnds:
 
 def cauchy_weights(distances: NDArray[np.float32], scale_m: float) -> NDArray[np.float32]:
     """Cauchy weights (...), in [0, 1], of distances (...) in m to the nearest obstacle; half at `scale_m`."""
-    weights: NDArray[np.float32] = (1 / (1 + np.square(distances / scale_m))).astype(np.float32, copy=False)
-    return weights
+    return np.asarray(1 / (1 + np.square(distances / scale_m)), np.float32)
 
 
 def weigh_known_beams(

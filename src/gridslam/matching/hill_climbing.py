@@ -75,5 +75,4 @@ class HillClimbing:
     def _score(self, maps: TileMaps, rows: Rows, poses: FloatArray, beams: BeamEnds) -> FloatArray:
         distances = maps.distances(rows, poses, beams.ends)
         scores = np.where(distances <= self.kernel_m, np.exp(np.square(distances) * np.float32(-1 / self.scale_m2)), 0)
-        total: FloatArray = scores.sum(axis=1, dtype=np.float64)
-        return total
+        return np.asarray(scores.sum(axis=1, dtype=np.float64))

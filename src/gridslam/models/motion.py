@@ -21,9 +21,6 @@ from gridslam.geometry.se2 import compose, exp, rotate_covariances
 from gridslam.parameters import bounded, parameters
 from gridslam.types import FloatArray, MotionSampler, Poses
 
-_IDENTITY = np.eye(3)
-_IDENTITY.flags.writeable = False
-
 
 def _finite_triple(values: ArrayLike, name: str) -> tuple[float, float, float]:
     """Three finite numbers as floats; raises ArgumentError that names the argument otherwise."""
@@ -62,7 +59,7 @@ class GaussianIncrement:
     @classmethod
     def from_std(cls, increment: Annotated[FloatArray, 3], std: Annotated[FloatArray, 3]) -> GaussianIncrement:
         """Return sampler with noise `std` (3,) directly on x, y (m) and theta (rad) of `increment` (3,)."""
-        return cls(increment, std, increment, _IDENTITY)
+        return cls(increment, std, increment, np.eye(3))
 
     @classmethod
     def with_covariance(

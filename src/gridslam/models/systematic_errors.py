@@ -7,7 +7,6 @@ from typing import Final, final
 
 import numpy as np
 
-from gridslam.geometry.angles import wrap
 from gridslam.geometry.se2 import between, compose, lever_arm_jacobian
 from gridslam.models.landmark import LandmarkModel
 from gridslam.parameters import bounded, parameters
@@ -84,7 +83,6 @@ class SystematicErrors:
         by_errors = _by_errors(increment)
         kept = math.exp(-math.hypot(dx, dy) / self.memory_m)
         moved = np.concatenate([compose(known[:3], correct_increment(increment, known[3:])), kept * known[3:]])
-        moved[2] = wrap(float(moved[2]))
         c, s = math.cos(known[2]), math.sin(known[2])
         F = np.eye(3 + ERRORS)
         F[:3, :3] = lever_arm_jacobian(known, moved)

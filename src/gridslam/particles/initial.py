@@ -8,7 +8,7 @@ from numpy.typing import ArrayLike
 from gridslam.arguments import describe, freeze, require_generator, require_instance
 from gridslam.checked import checked
 from gridslam.errors import ArgumentError
-from gridslam.geometry.angles import wrap
+from gridslam.geometry.se2 import wrap_poses
 from gridslam.types import FloatArray
 
 _MOST = 1 << 30
@@ -39,9 +39,8 @@ def repeat_pose(count: int, pose: ArrayLike) -> FloatArray:
         raise ArgumentError("count", f"1 to {_MOST} particles", count)
     mean = freeze(pose, np.float64, (3,), "pose").copy()
     if not np.isfinite(mean).all():
-        raise ArgumentError("pose", "finite [x, y, theta]", mean.tolist())
-    mean[2] = wrap(mean[2])
-    return np.tile(mean, (count, 1))
+        raise ArgumentError("pose", "finite x, y, theta", mean.tolist())
+    return np.tile(wrap_poses(mean), (count, 1))
 
 
 def copy_poses(particles: object, least: int = 0, expected: str = "finite poses of shape (N, 3)") -> FloatArray:
@@ -52,8 +51,7 @@ def copy_poses(particles: object, least: int = 0, expected: str = "finite poses 
         poses = np.empty(0)
     if poses.ndim != 2 or poses.shape[1] != 3 or len(poses) < least or not np.isfinite(poses).all():
         raise ArgumentError("particles", expected, describe(particles))
-    poses[:, 2] = wrap(poses[:, 2])
-    return poses
+    return wrap_poses(poses)
 
 
 @checked
@@ -89,6 +87,4 @@ def sample_gaussian(count: int, pose: ArrayLike, covariance: ArrayLike, rng: np.
     variances, axes = np.linalg.eigh(matrix)
     if np.abs(matrix - matrix.T).max() > rounding or variances[0] < -rounding:
         raise ArgumentError("covariance", "a symmetric matrix without negative eigenvalue", matrix.tolist())
-    poses += (rng.standard_normal((count, 3)) * np.sqrt(np.maximum(variances, 0.0))) @ axes.T
-    poses[:, 2] = wrap(poses[:, 2])
-    return poses
+    return wrap_poses(poses + (rng.standard_normal((count, 3)) * np.sqrt(np.maximum(variances, 0.0))) @ axes.T)

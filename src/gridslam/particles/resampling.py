@@ -21,6 +21,7 @@ import numpy as np
 from gridslam.arguments import Limits, require_generator
 from gridslam.checked import checked
 from gridslam.errors import ArgumentError
+from gridslam.geometry.se2 import wrap_poses
 from gridslam.parameters import parameters
 from gridslam.types import FloatArray, IntArray
 
@@ -77,6 +78,12 @@ def entropy(log_weights: FloatArray) -> float:
     return float(np.log(total) - weights[drawn] @ shifted[drawn] / total)
 
 
+def compute_spread(poses: FloatArray, log_weights: FloatArray, best: int) -> FloatArray:
+    """Return the weighted covariance (3, 3) of particles (N, 3), normalized log weights (N,), about the best one."""
+    away = wrap_poses(poses - poses[best])
+    return np.asarray((np.exp(log_weights) * away.T) @ away)
+
+
 def require_log_weights(log_weights: FloatArray) -> None:
     """Reject log weights (N,), N >= 1, that are NaN or infinite, or all of weight zero."""
     greatest = float(log_weights.max())
@@ -109,7 +116,7 @@ class Systematic:
 
     def __call__(self, weights: _Weights, size: _Count, rng: np.random.Generator) -> IntArray:
         """Draw `size` ascending indices of `weights` (N,); see the contract of the module."""
-        ends = np.cumsum(_relative(weights, size, rng))
+        ends = np.cumsum(_relative(weights, rng))
         return _slots(ends, (rng.random() + np.arange(size)) * (ends[-1] / max(size, 1)))
 
 
@@ -124,7 +131,7 @@ class Stratified:
 
     def __call__(self, weights: _Weights, size: _Count, rng: np.random.Generator) -> IntArray:
         """Draw `size` ascending indices of `weights` (N,); see the contract of the module."""
-        ends = np.cumsum(_relative(weights, size, rng))
+        ends = np.cumsum(_relative(weights, rng))
         return _slots(ends, (rng.random(size) + np.arange(size)) * (ends[-1] / max(size, 1)))
 
 
@@ -139,7 +146,7 @@ class Multinomial:
 
     def __call__(self, weights: _Weights, size: _Count, rng: np.random.Generator) -> IntArray:
         """Draw `size` ascending indices of `weights` (N,); see the contract of the module."""
-        ends = np.cumsum(_relative(weights, size, rng))
+        ends = np.cumsum(_relative(weights, rng))
         return _slots(ends, np.sort(rng.random(size)) * ends[-1])
 
 
@@ -154,7 +161,7 @@ class Residual:
 
     def __call__(self, weights: _Weights, size: _Count, rng: np.random.Generator) -> IntArray:
         """Draw `size` ascending indices of `weights` (N,); see the contract of the module."""
-        relative = _relative(weights, size, rng)
+        relative = _relative(weights, rng)
         expected = relative * size / relative.sum()
         counts = np.floor(expected).astype(np.int64)
         rest = size - int(counts.sum())
@@ -186,18 +193,16 @@ class ResamplingWheel:
 
     def __call__(self, weights: _Weights, size: _Count, rng: np.random.Generator) -> IntArray:
         """Draw `size` ascending indices of `weights` (N,); see the contract of the module."""
-        relative = _relative(weights, size, rng)
+        relative = _relative(weights, rng)
         ends = np.cumsum(relative)
         start = rng.random() * ends[-1]
         steps = rng.random(size) * (2.0 * len(relative) / max(size, 1))  # the greatest weight is 1
         return _slots(ends, np.sort(np.mod(start + np.cumsum(steps), ends[-1])))
 
 
-def _relative(weights: FloatArray, size: int, rng: np.random.Generator) -> FloatArray:
+def _relative(weights: FloatArray, rng: np.random.Generator) -> FloatArray:
     """Weights divided by the greatest: subnormal and huge ones add up safely, and sums of equal ones are exact."""
     require_generator(rng)
-    if size < 0:
-        raise ArgumentError("size", "a number of particles >= 0", size)
     given = np.asarray(weights, dtype=np.float64)
     if given.ndim != 1 or len(given) == 0:
         raise ArgumentError("weights", "shape (N,) with N >= 1", given.shape)

@@ -9,7 +9,7 @@ from typing import Annotated, final
 import numpy as np
 
 from gridslam.arguments import Limits
-from gridslam.geometry.single_pose import UNKNOWN_POSE, Pose, between, is_known, motion_of
+from gridslam.geometry.single_pose import UNKNOWN_POSE, Pose, between, is_known, is_within, motion_of
 from gridslam.parameters import bounded, parameters
 from gridslam.types import FloatArray
 
@@ -144,7 +144,8 @@ class OdometryCalibration:
         """
         errors.determined &= determined
         known = is_good_match and is_known(odometry) and is_known(errors.begin_odometry)
-        if known and not (_is_long(errors.begin_pose, pose) or _is_long(errors.begin_odometry, odometry)):
+        motions = (errors.begin_pose, pose), (errors.begin_odometry, odometry)
+        if known and all(is_within(*ends, SEGMENT_M, SEGMENT_RAD) for ends in motions):
             return
         if known:
             moved = between(errors.begin_pose, pose)
@@ -189,11 +190,6 @@ class OdometryCalibration:
             position_variance += (min(position_m2, 9 * position_variance) - position_variance) / count
         heading_variance += (min(heading_rad2, 9 * heading_variance) - heading_variance) / count
         errors.variances = np.array([position_variance, heading_variance])
-
-
-def _is_long(a: Pose, b: Pose) -> bool:
-    is_far = math.hypot(b[0] - a[0], b[1] - a[1]) >= SEGMENT_M
-    return is_far or abs(math.remainder(b[2] - a[2], math.tau)) >= SEGMENT_RAD
 
 
 def _weigh(square: float, variance: float) -> float:

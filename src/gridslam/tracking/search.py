@@ -9,13 +9,13 @@ from typing import final
 
 import numpy as np
 
-from gridslam.geometry.single_pose import Pose, as_pose
+from gridslam.geometry.single_pose import Pose, as_pose, is_within
 from gridslam.matching.branch_and_bound import BranchAndBound, Pyramid
 from gridslam.matching.gauss_newton import NO_INFORMATION, GaussNewton, known_inlier_ratio
 from gridslam.parameters import bounded, parameters
 from gridslam.tracking.odometry_calibration import MIN_SEGMENTS
 from gridslam.tracking.prediction import MAX_INTERVAL_S, PoseEstimate, Prediction, unmatched_variances
-from gridslam.tracking.state import Control, TrackerState, is_within
+from gridslam.tracking.state import Control, TrackerState
 from gridslam.types import BeamEnds, FloatArray
 
 _GATES = ((2.0, 0.1), (5.0, 0.1), (12.0, 0.3))

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass, field, replace
 from typing import Annotated, NamedTuple, final
 
@@ -11,7 +10,7 @@ from numpy.typing import NDArray
 
 from gridslam.arguments import COUNT, Limits
 from gridslam.geometry.se2 import transform_points
-from gridslam.geometry.single_pose import ORIGIN, UNKNOWN_POSE, Pose, as_pose, between
+from gridslam.geometry.single_pose import ORIGIN, UNKNOWN_POSE, Pose, as_pose, between, is_within
 from gridslam.grid.tiles import TileMaps
 from gridslam.matching.beam_order import BeamOrder
 from gridslam.matching.branch_and_bound import Pyramid
@@ -206,12 +205,6 @@ class TrackerState:
     def snapshot(self) -> TrackerState:
         """Keep a copy for later, at the cost of the maps' tables."""
         return replace(self, maps=self.maps.snapshot(), odometry_errors=replace(self.odometry_errors))
-
-
-def is_within(a: Pose, b: Pose, metres: float, radians: float) -> bool:
-    """Whether poses are nearer to each other than both."""
-    near = math.hypot(a[0] - b[0], a[1] - b[1]) < metres
-    return near and abs(math.remainder(a[2] - b[2], math.tau)) < radians
 
 
 def pose_of(odometry: Odometry | None) -> Pose:

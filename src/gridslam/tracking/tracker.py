@@ -15,7 +15,7 @@ import numpy as np
 
 from gridslam.checked import checked
 from gridslam.errors import ArgumentError
-from gridslam.geometry.single_pose import Pose, as_pose, between, compose, is_known, motion_of
+from gridslam.geometry.single_pose import Pose, as_pose, between, compose, is_known, is_within, motion_of
 from gridslam.mapping.occupancy_grid_mapping import OccupancyGridMapping
 from gridslam.matching.gauss_newton import (
     EVALUATE_ONLY,
@@ -36,16 +36,9 @@ from gridslam.tracking.prediction import (
     predict_by_odometry,
     unmatched_variances,
 )
+from gridslam.tracking.recent_scans import SURFACE_SCANS
 from gridslam.tracking.search import OdometrySearch, calibrated, local_pyramid
-from gridslam.tracking.state import (
-    Control,
-    SensorTrack,
-    TrackedScan,
-    TrackerState,
-    is_within,
-    pose_of,
-)
-from gridslam.tracking.surface_matching import SURFACE_SCANS, match_to_surfaces
+from gridslam.tracking.state import Control, SensorTrack, TrackedScan, TrackerState, pose_of
 from gridslam.types import BeamEnds, Beams, FloatArray, Odometry
 
 __all__ = ["OdometryTracker", "TrackedScan", "Tracker", "TrackerState"]
@@ -171,7 +164,7 @@ class Tracker:
         else:
             found = self._locate(state, predicted, beams)
         if found.inlier_ratio and found.pose != state.pose and len(state.sensors) == 1:
-            found = found._replace(pose=match_to_surfaces(state.recent, beams.ends, found))
+            found = found._replace(pose=state.recent.match(beams.ends, found.pose))
         joint = self._merge_lasers(state, found.pose, found.prediction, beams)
         self._advance(state, found)
         by_odometry = found.prediction.by_odometry

@@ -10,7 +10,6 @@ from collections.abc import Sequence
 from typing import NamedTuple, final
 
 import numpy as np
-from numpy.typing import NDArray
 
 from gridslam.checked import checked
 from gridslam.errors import ArgumentError, GridslamError
@@ -18,9 +17,7 @@ from gridslam.geometry import rigid, se2
 from gridslam.geometry.angles import wrap
 from gridslam.geometry.rigid import Rigid
 from gridslam.transforms.link import Coverage, Link
-from gridslam.types import describe_duration
-
-FloatArray = NDArray[np.float64]
+from gridslam.types import FloatArray, describe_duration
 
 _IDENTITY: Rigid = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0)
 _MOST_LINKS = 10_000  # 2.5 kB each; a fleet of 100 robots has as many

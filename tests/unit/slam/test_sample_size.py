@@ -9,8 +9,8 @@ import pytest
 from gridslam.config import build, preset
 from gridslam.models import DiffusionMotion
 from gridslam.particles import kld_bound
+from gridslam.particles.kld_sampling import count_needed
 from gridslam.slam import GridFastSlam, MotionModelProposal, OdometryTracker
-from gridslam.slam.grid_fastslam.sample_size import count_needed
 
 ABOUT = np.array([40.0, -7.0, math.pi - 0.01])
 

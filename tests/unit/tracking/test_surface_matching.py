@@ -7,9 +7,7 @@ from hypothesis import strategies as st
 
 from gridslam.geometry.se2 import between, compose
 from gridslam.tracking.odometry_calibration import OdometryCalibration, OdometryErrorModel
-from gridslam.tracking.prediction import PoseEstimate, Prediction
 from gridslam.tracking.recent_scans import RecentScans
-from gridslam.tracking.surface_matching import match_to_surfaces
 from gridslam.types import StoredScan
 
 BEARINGS = np.linspace(-3.1, 3.1, 240)
@@ -23,12 +21,6 @@ def scan_from(pose, seed, half=(4.0, 3.0)):
     reach += 0.01 * np.random.default_rng(seed).normal(size=len(reach))
     reach = np.minimum(reach, 12.0)
     return StoredScan(reach[:, None] * np.column_stack([np.cos(BEARINGS), np.sin(BEARINGS)]), np.zeros(2))
-
-
-def at(pose):
-    """Found at a pose."""
-    predicted = Prediction(pose, True, 0.1, 0.1, 0.0, 0.02, 0.01, 0.03)
-    return PoseEstimate(pose, predicted, matched=True, lost=False, inlier_ratio=1.0)
 
 
 def remember(poses, half=(4.0, 3.0), most=8):
@@ -48,7 +40,7 @@ def test_a_match_is_exact_to_millimetres_and_hundredths_of_a_degree():
     errors = []
     for seed in range(20):
         off = np.random.default_rng(seed).normal(0, [0.02, 0.02, 0.01])
-        found = match_to_surfaces(recent, own, at(tuple((np.array(TRUE) + off).tolist())))
+        found = recent.match(own, tuple((np.array(TRUE) + off).tolist()))
         errors.append(between(np.array(TRUE), np.array(found)))
     rms = np.sqrt(np.square(errors).mean(axis=0))
     assert (rms < [0.004, 0.004, 0.0015]).all()  # of guesses that are off by 0.02, 0.02, 0.01
@@ -58,12 +50,12 @@ def test_what_has_few_points_or_would_move_far_stays():
     recent = remember(POSES)
     own = scan_from(np.array(TRUE), 99).ends
     guess = (2.02, 0.48, 0.6)
-    assert match_to_surfaces(recent, own, at(guess)) != guess
-    assert match_to_surfaces(RecentScans(), own, at(guess)) == guess
-    assert match_to_surfaces(RecentScans(recent.scans[-1:]), np.ascontiguousarray(own[::20]), at(guess)) == guess
+    assert recent.match(own, guess) != guess
+    assert RecentScans().match(own, guess) == guess
+    assert RecentScans(recent.scans[-1:]).match(np.ascontiguousarray(own[::20]), guess) == guess
     far = (2.12, 0.5, 0.6)
-    assert match_to_surfaces(recent, own, at(far)) == pytest.approx(far, abs=1e-3)
-    assert match_to_surfaces(recent, np.empty((0, 2)), at(guess)) == guess
+    assert recent.match(own, far) == pytest.approx(far, abs=1e-3)
+    assert recent.match(np.empty((0, 2)), guess) == guess
 
 
 LEARN = OdometryCalibration()

@@ -9,7 +9,7 @@ from typing import NamedTuple, final
 
 import numpy as np
 
-from gridslam.geometry.se2 import between, compose, transform_points
+from gridslam.geometry.se2 import between, compose, transform_points, wrap_poses
 from gridslam.grid.tiles import TileMaps
 from gridslam.mapping.occupancy_grid_mapping import OccupancyGridMapping
 from gridslam.matching.branch_and_bound import thin_points
@@ -19,7 +19,7 @@ from gridslam.slam.loop_closure.constraints import Constraint, ConstraintSource,
 from gridslam.slam.loop_closure.key_graph import KEY_SCANS_PER_SUBMAP, KeyGraph, anchor_of, position_sigmas
 from gridslam.slam.loop_closure.loop_closure import LoopClosure
 from gridslam.slam.loop_closure.map_search import MapSearch
-from gridslam.slam.loop_closure.place_matching import PlaceMatching, compute_innovation, squared_sigmas
+from gridslam.slam.loop_closure.place_matching import PlaceMatching, squared_sigmas
 from gridslam.slam.loop_closure.scan_archive import ScanArchive
 from gridslam.slam.loop_closure.state import LoopClosureState
 from gridslam.slam.loop_closure.submap_matching import MAX_POINTS, Submap
@@ -219,7 +219,7 @@ class WantedSearch(NamedTuple):
         guess = compose(graph.poses[self.seen_from], self.expected)
         reach_rad = SEARCH_SIGMAS * math.sqrt(self.covariance[2, 2]) + MARGIN_RAD
         return [
-            hit._replace(squared_sigmas=squared_sigmas(self.covariance, compute_innovation(guess, hit.pose)))
+            hit._replace(squared_sigmas=squared_sigmas(self.covariance, wrap_poses(hit.pose - guess)))
             for hit in match_submap(search, self.submap, guess, self.reach_m, reach_rad)
         ]
 
@@ -233,7 +233,7 @@ def _select_searches(graph: KeyGraph, submaps: list[Submap], labels: IntArray, a
         newest = np.flatnonzero(labels == new)[-1]
         for old in range(new):
             keys = np.flatnonzero(labels == old)
-            if not len(keys) or max(newest, keys[-1]) < aligned:
+            if max(newest, keys[-1]) < aligned:
                 continue
             few = keys[:: -(-len(keys) // _MOST_EXPECTED)]
             expected, covariances = graph.locate(submap.anchor, few)
@@ -250,7 +250,8 @@ def match_submap(
 ) -> list[SearchHit]:
     """Search a map for a submap, near a pose (3,) if it is given; the places that its points speak for, best first."""
     hits = []
-    for pose, points in search(submap, near, near_m, near_rad):
+    poses, points = search(submap, near, near_m, near_rad)
+    for pose in poses:
         weights = weigh_known_beams(search.maps, ROW, pose, points, SCALE_M)
         score = log_likelihood(float(weights.sum(dtype=np.float64)), len(weights))
         if score > 0:

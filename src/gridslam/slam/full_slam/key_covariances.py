@@ -56,5 +56,4 @@ def _nearest_held(graph: PoseGraph) -> IntArray:
     is_crossing = by_constraint if by_constraint.any() else is_crossing
     order = np.flatnonzero(is_crossing)[np.argsort(high[is_crossing], kind="stable")]
     free = np.arange(graph.held, len(graph.poses))
-    nearest: IntArray = low[order[np.abs(free[:, None] - high[order]).argmin(axis=1)]]
-    return nearest
+    return np.asarray(low[order[np.abs(free[:, None] - high[order]).argmin(axis=1)]])

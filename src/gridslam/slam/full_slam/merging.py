@@ -8,8 +8,8 @@ from typing import NamedTuple, final
 
 import numpy as np
 
-from gridslam.geometry.angles import wrap
 from gridslam.geometry.se2 import between, compose, inverse
+from gridslam.geometry.single_pose import as_pose, is_within
 from gridslam.mapping.occupancy_grid_mapping import OccupancyGridMapping
 from gridslam.slam.full_slam.earlier_pieces import EarlierPieces
 from gridslam.slam.loop_closure.constraints import Constraint
@@ -166,9 +166,8 @@ def _windows(piece: MapPiece) -> Iterator[IntArray]:
 
 def _agree(frame: FloatArray, other: FloatArray, pose: FloatArray) -> bool:
     """Whether two frames of a piece have a pose (3,) of it at nearly the same place."""
-    here = compose(frame, pose)
-    there = compose(other, pose)
-    return bool(np.hypot(*(here - there)[:2]) < _AGREE_M and abs(wrap(here[2] - there[2])) < _AGREE_RAD)
+    here, there = (as_pose(compose(each, pose)) for each in (frame, other))
+    return is_within(here, there, _AGREE_M, _AGREE_RAD)
 
 
 def _lay_out(count: int, links: Sequence[_Link]) -> list[tuple[int, FloatArray]]:

@@ -20,14 +20,14 @@ from gridslam.models.endpoint import CauchyEndPoint
 from gridslam.models.motion import DiffusionMotion, add_noise
 from gridslam.particles.ancestry import Ancestry
 from gridslam.particles.initial import copy_poses, repeat_pose
+from gridslam.particles.kld_sampling import count_needed
 from gridslam.particles.policies import EffectiveSampleSizeBelow, MotionThreshold, ResamplingPolicy, UpdatePolicy
-from gridslam.particles.resampling import Systematic, effective_sample_size
+from gridslam.particles.resampling import Systematic, compute_spread, effective_sample_size
 from gridslam.scan import Thinning
 from gridslam.slam.grid_fastslam.map_limit import MapLimit
 from gridslam.slam.grid_fastslam.motion_of_particles import MotionOfAll, SearchingMotion
 from gridslam.slam.grid_fastslam.proposals import Proposal, ScanMatchedProposal
-from gridslam.slam.grid_fastslam.report_builder import ReportBuilder, compute_spread
-from gridslam.slam.grid_fastslam.sample_size import count_needed
+from gridslam.slam.grid_fastslam.report_builder import ReportBuilder
 from gridslam.slam.grid_fastslam.smoothed_pose import SmoothedPose
 from gridslam.slam.grid_fastslam.state import GridFastSlamState
 from gridslam.slam.loop_closure.loop_closure import LoopClosure

@@ -13,15 +13,13 @@ from typing import Annotated, Protocol, final
 import numpy as np
 
 from gridslam.checked import checked
-from gridslam.geometry.angles import wrap
-from gridslam.geometry.se2 import compose, rotate_covariances
-from gridslam.geometry.single_pose import as_pose, between, motion_of
+from gridslam.geometry.se2 import compose, rotate_covariances, wrap_poses
+from gridslam.geometry.single_pose import as_pose, is_within
 from gridslam.grid.tiles import TileMaps
-from gridslam.kernels.reference_update import Int32Array
 from gridslam.matching.gauss_newton import EVALUATE_ONLY, GaussNewton
 from gridslam.matching.hill_climbing import HillClimbing
 from gridslam.parameters import Kind, bounded, parameters
-from gridslam.types import BeamEnds, FloatArray, Match, MotionSampler, ScanLikelihood
+from gridslam.types import BeamEnds, FloatArray, Int32Array, Match, MotionSampler, ScanLikelihood
 
 
 @final
@@ -56,14 +54,6 @@ def _rows(maps: TileMaps) -> Int32Array:
 
 _LEAST = np.diag([1e-8, 1e-8, 1e-10])
 """Variances (m^2, rad^2) added to those of a motion, so that one without noise along some direction is invertible."""
-
-_AT_ORIGIN = np.zeros((1, 3))
-
-
-def _information(covariance: FloatArray, headings: FloatArray) -> FloatArray:
-    """Inverse covariances (N, 3, 3), world frame, of a motion of `covariance` (3, 3), robot frame, at headings (N,)."""
-    return rotate_covariances(np.asarray(np.linalg.inv(covariance + _LEAST), np.float64), headings)
-
 
 _STANDSTILL_M = 0.02
 _STANDSTILL_RAD = 0.02
@@ -136,14 +126,11 @@ class ScanMatchedProposal:
         rows = _rows(maps)
         drawn = motion(poses, rng)
         means, covariances = motion.moments(poses)
-        matcher = self.matcher if self._is_moving(poses[0], means[0]) else EVALUATE_ONLY
+        is_standing = is_within(as_pose(poses[0]), as_pose(means[0]), _STANDSTILL_M, _STANDSTILL_RAD)
+        matcher = EVALUATE_ONLY if is_standing else self.matcher
         prior = np.asarray(self.beam_sigma_m**2 * np.linalg.inv(covariances + _LEAST), np.float64)
         match = matcher(maps, rows, drawn, prior, beams)
         return ProposedPoses(match.poses, weigh(maps, rows, match.poses), match)
-
-    def _is_moving(self, pose: FloatArray, mean: FloatArray) -> bool:
-        moved_m, turned_rad = motion_of(between(as_pose(pose), as_pose(mean)))
-        return moved_m > _STANDSTILL_M or turned_rad > _STANDSTILL_RAD
 
 
 @final
@@ -183,17 +170,16 @@ class ImprovedProposal:
     ) -> ProposedPoses:
         """Move particles at poses (N, 3), each with its row of `maps`."""
         rows = _rows(maps)
-        (increment,), (covariance,) = motion.moments(_AT_ORIGIN)
+        (increment,), (covariance,) = motion.moments(np.zeros((1, 3)))
         means = compose(poses, increment)
-        prior = _information(covariance, poses[:, 2])
+        information = np.asarray(np.linalg.inv(covariance + _LEAST), np.float64)  # of the motion, robot frame
+        prior = rotate_covariances(information, poses[:, 2])
         match = self.matcher(maps, rows, means, self.beam_sigma_m**2 * prior, beams)
         information = match.information / self.beam_sigma_m**2 + prior
         factor = np.linalg.cholesky(information)
         noise = np.linalg.solve(factor.transpose(0, 2, 1), rng.standard_normal((len(rows), 3, 1)))[..., 0]
-        drawn = match.poses + noise
-        drawn[:, 2] = wrap(drawn[:, 2])
-        away = match.poses - means
-        away[:, 2] = wrap(away[:, 2])
+        drawn = wrap_poses(match.poses + noise)
+        away = wrap_poses(match.poses - means)
         log_prior = -0.5 * np.einsum("ni,nij,nj->n", away, prior, away) + 0.5 * np.linalg.slogdet(prior)[1]
         log_volume = -np.log(np.diagonal(factor, axis1=1, axis2=2)).sum(axis=1)
         return ProposedPoses(drawn, weigh(maps, rows, match.poses) + log_prior + log_volume, match)

@@ -7,11 +7,11 @@ from typing import final
 
 import numpy as np
 
-from gridslam.geometry.angles import wrap
 from gridslam.geometry.se2 import rotate_covariances
 from gridslam.geometry.single_pose import Pose, as_pose, compose
 from gridslam.matching.gauss_newton import degenerate_direction
 from gridslam.parameters import bounded, parameters
+from gridslam.particles.resampling import compute_spread
 from gridslam.slam.grid_fastslam.state import Estimate, GridFastSlamState
 from gridslam.slam.loop_closure.drift_model import DriftModel, propagate_covariances, scale_covariances
 from gridslam.tracking.state import UnmatchedMotion
@@ -162,14 +162,5 @@ class ReportBuilder:
 
     def _drift_at(self, pose: FloatArray, moments: FloatArray, first_pose: FloatArray) -> FloatArray:
         """Covariance (3, 3) of the drift of a pose (3,) since the first one, and of the error of the scale."""
-        drift: FloatArray = propagate_covariances(pose[None], moments[None])[0]
-        drift += scale_covariances(_SCALE_SIGMA, (pose - first_pose)[None, :2])[0]
-        return drift
-
-
-def compute_spread(poses: FloatArray, log_weights: FloatArray, best: int) -> FloatArray:
-    """Weighted covariance (3, 3) of particles (N, 3), log weights (N,), about the best one."""
-    away = poses - poses[best]
-    away[:, 2] = wrap(away[:, 2])
-    spread: FloatArray = (np.exp(log_weights) * away.T) @ away
-    return spread
+        of_scale = scale_covariances(_SCALE_SIGMA, (pose - first_pose)[None, :2])
+        return np.asarray((propagate_covariances(pose[None], moments[None]) + of_scale)[0])

@@ -11,8 +11,7 @@ from typing import Annotated, final
 
 import numpy as np
 
-from gridslam.geometry.angles import wrap
-from gridslam.geometry.se2 import compose, compose_jacobians
+from gridslam.geometry.se2 import compose, compose_jacobians, wrap_poses
 from gridslam.geometry.single_pose import Pose
 from gridslam.types import FloatArray, MotionSampler
 
@@ -43,11 +42,9 @@ class SmoothedPose:
         _, (noise,) = motion.moments(self.pose[None])
         by_pose, _ = compose_jacobians(self.pose, increment)
         covariance = by_pose @ self.covariance @ by_pose.T + noise
-        missed = matched - predicted
-        missed[2] = wrap(missed.item(2))
+        missed = wrap_poses(matched - predicted)
         weighed = np.linalg.solve(covariance + _MATCH, np.column_stack([missed, covariance]))
         if missed @ weighed[:, 0] > _MOST_SQUARED:
             return SmoothedPose(matched, _MATCH)
-        pose = predicted + covariance @ weighed[:, 0]
-        pose[2] = wrap(pose.item(2))
+        pose = wrap_poses(predicted + covariance @ weighed[:, 0])
         return SmoothedPose(pose, covariance - covariance @ weighed[:, 1:])

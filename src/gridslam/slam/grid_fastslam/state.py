@@ -14,7 +14,7 @@ from gridslam import serialization
 from gridslam.arguments import COUNT, Limits, Size, index_of
 from gridslam.checked import checked
 from gridslam.errors import ArgumentError
-from gridslam.geometry.angles import wrap
+from gridslam.geometry.se2 import wrap_poses
 from gridslam.geometry.single_pose import Pose
 from gridslam.grid.tiles import TileMaps
 from gridslam.mapping.occupancy_grid_mapping import OccupancyGridMapping
@@ -144,8 +144,7 @@ class GridFastSlamState(OwnedState):
     @property
     def best_pose(self) -> FloatArray:
         """Pose (3,) of the best particle at the last key scan, map frame."""
-        pose: FloatArray = self.poses[self.best]
-        return pose
+        return np.asarray(self.poses[self.best])
 
     def best_trajectory(self) -> FloatArray:
         """Poses (T, 3) of the best particle at all key scans."""
@@ -214,8 +213,7 @@ class GridFastSlamState(OwnedState):
 
         Where the best one has no child, it was lost by chance: the one nearest to it goes on as the best.
         """
-        away = self.poses[parents] - self.poses[self.best]
-        away[:, 2] = wrap(away[:, 2])
+        away = wrap_poses(self.poses[parents] - self.poses[self.best])
         self.best = int(np.square(away).sum(axis=1).argmin())
         self.poses = self.poses[parents]
         self.maps.select(parents)

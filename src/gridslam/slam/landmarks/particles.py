@@ -9,11 +9,10 @@ from typing import final
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from gridslam.geometry.angles import wrap
 from gridslam.models.association import NEW
 from gridslam.particles.ancestry import Ancestry
 from gridslam.particles.initial import repeat_pose
-from gridslam.particles.resampling import effective_sample_size, normalize
+from gridslam.particles.resampling import compute_spread, effective_sample_size, normalize
 from gridslam.slam.landmarks.report import LandmarkMap, LandmarkReport
 from gridslam.types import FloatArray, IntArray, OwnedState
 
@@ -175,10 +174,8 @@ class LandmarkParticles(OwnedState):
     def report(self, places: IntArray) -> LandmarkReport:
         """Report of the last step; places (N, K) are the columns of the observed landmarks."""
         best = self.best
-        weights = np.exp(self.log_weights)
-        apart = self.poses - self.poses[best]
-        apart[:, 2] = wrap(apart[:, 2])
-        covariance = (weights * apart.T) @ apart + np.einsum("n,nij->ij", weights, self.pose_covariances)
+        covariance = compute_spread(self.poses, self.log_weights, best)
+        covariance += np.einsum("n,nij->ij", np.exp(self.log_weights), self.pose_covariances)
         columns = places[best]
         names = self.names[columns]  # below 0 where columns have no signatures
         reported = np.where((columns >= 0) & (names >= 0), names, columns)

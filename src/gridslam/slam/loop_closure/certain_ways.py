@@ -70,8 +70,7 @@ def follow_certain_ways(
 
     def drive(first: IntArray | int, last: IntArray | int) -> FloatArray:
         """Moments (..., 9) of the increments between two key scans, in either direction."""
-        moved: FloatArray = np.sign(np.subtract(last, first))[..., None] * (sums[last] - sums[first])
-        return moved
+        return np.asarray(np.sign(np.subtract(last, first))[..., None] * (sums[last] - sums[first]))
 
     needed = set[int]()
     left = set(entries[others].tolist()) - {key}

@@ -54,6 +54,11 @@ class Constraint(NamedTuple):
         return self.from_, self.to
 
     @property
+    def is_certain(self) -> bool:
+        """Whether it determines the whole relative pose, by more than the filter's estimate."""
+        return self.determined and self.source is not ConstraintSource.PROXIMITY
+
+    @property
     def identity(self) -> tuple[int, int, bytes]:
         """Key scans and measurement, by which a constraint is found again among others."""
         return self.from_, self.to, self.measurement.tobytes()

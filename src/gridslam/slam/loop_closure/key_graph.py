@@ -15,13 +15,14 @@ from gridslam.geometry.se2 import between, compose
 from gridslam.geometry.single_pose import UNKNOWN_POSE, Pose
 from gridslam.serialization import NOT_SAVED
 from gridslam.slam.loop_closure.certain_ways import follow_certain_ways
-from gridslam.slam.loop_closure.constraints import Constraint, ConstraintSource, key_scan_pairs
+from gridslam.slam.loop_closure.constraints import Constraint, key_scan_pairs
 from gridslam.slam.loop_closure.drift_model import (
     compute_moments,
     compute_moments_of_variances,
     position_variances,
     propagate_covariances,
 )
+from gridslam.slam.pose_graph.linear import find_parts
 from gridslam.slam.pose_graph.pose_graph import PoseGraph
 from gridslam.types import FloatArray, IntArray
 
@@ -241,23 +242,15 @@ class KeyGraph:
         return _rows(self._sums, _COLUMNS)[:, 1].astype(np.int64)
 
     def label_rigid_components(self, constraints: Sequence[Constraint] | None = None) -> IntArray:
-        """Label (T,) of the rigid component of each key scan, the number of its first stretch without a gap.
+        """Label (T,) of the rigid component of each key scan, from 0 on in the order of their first ones.
 
         Components are separated by gaps in the laser data, and joined by tracked or recognized constraints and by those
         added by hand: by those of the graph, if no others are given.
         """
-        labels = self.label_gaps()
-        if not labels[-1]:
-            return labels
-        roots = np.arange(labels[-1] + 1)
-        for constraint in self.constraints if constraints is None else constraints:
-            if constraint.determined and constraint.source is not ConstraintSource.PROXIMITY:
-                a = roots[labels[constraint.from_]]
-                b = roots[labels[constraint.to]]
-                if a != b:
-                    roots[roots == max(a, b)] = min(a, b)
-        components: IntArray = roots[labels]
-        return components
+        stretches = self.label_gaps()
+        known = self.constraints if constraints is None else constraints
+        joined = stretches[key_scan_pairs(constraint for constraint in known if constraint.is_certain)]
+        return find_parts(joined, int(stretches[-1]) + 1).take(stretches)
 
     def select_without_gap(self, keys: IntArray, anchor: int) -> IntArray:
         """Select those of consecutive key scans (K,) that no gap separates from `anchor`."""
@@ -351,8 +344,7 @@ class KeyGraph:
 
     def _drift_at(self, key: int) -> FloatArray:
         """Moments (9,) of the drift from key scan 0 to another, along the most certain known way."""
-        drift: FloatArray = _rows(self._sums, _COLUMNS)[key, 11:] + self._gains[bisect_right(self._arrivals, key)]
-        return drift
+        return _rows(self._sums, _COLUMNS)[key, 11:] + self._gains[bisect_right(self._arrivals, key)]
 
     def _shorten_ways(self, constraint: Constraint, moments: FloatArray) -> None:
         """Let the way to a key scan and to those after it come by a constraint if it is more certain so."""

@@ -145,10 +145,10 @@ class LoopClosure:
         closure_state.scans.append(beams, state.tracker.pose, is_key=report.skipped is None)
         pending = closure_state.pending_constraints
         constraints = [] if pending is None else self._solve_pending(closure_state, pending, mapper, threads)
+        closures = tuple(constraint.pair for constraint in constraints)
         if closure_state.correction is not None:
             self._draw_corrected_map(closure_state, closure_state.correction)
         if report.skipped is not None:
-            closures = tuple(constraint.pair for constraint in constraints)
             return replace(report, closures=closures) if closures else report
         self._add_key_scan(closure_state, state)
         self.places.match_tracked_revisit(closure_state, mapper)
@@ -162,7 +162,6 @@ class LoopClosure:
             closure_state = self.join(state, closure_state, located)
             corrected = True
         state.drift = closure_state.graph.drift
-        closures = tuple(constraint.pair for constraint in constraints)
         pose = state.best_pose if corrected else report.pose
         return replace(report, pose=pose, closures=closures, corrected=corrected)
 
@@ -177,12 +176,11 @@ class LoopClosure:
         As after a loop closure, all particles share one past from then on: the piece's key scans, and the drive's where
         they were found. Their map is that of the piece, with the drive's key scans drawn into it.
         """
-        first = len(found.piece)
         joined = closure_state.join(found)
         trajectory = np.array(joined.graph.poses)
         maps = found.maps.snapshot()
-        new = range(first, len(trajectory))
-        insert_key_scans(maps, joined.scans, new, trajectory[first:], joined.graph)
+        new = range(len(found.piece), len(trajectory))
+        insert_key_scans(maps, joined.scans, new, trajectory, joined.graph)
         state.replace_trajectory(trajectory, maps)
         state.closure_state = joined
         return joined
@@ -272,11 +270,9 @@ class LoopClosure:
 
     def _draw_corrected_map(self, closure_state: LoopClosureState, correction: Correction) -> None:
         """Continue to rebuild the map."""
-        first = correction.inserted
-        last = min(first + self.scans_per_step, len(correction.poses))
-        keys = range(first, last)
-        poses = correction.poses[first:last]
-        insert_key_scans(correction.maps, closure_state.scans, keys, poses, closure_state.graph)
+        last = min(correction.inserted + self.scans_per_step, len(correction.poses))
+        keys = range(correction.inserted, last)
+        insert_key_scans(correction.maps, closure_state.scans, keys, correction.poses, closure_state.graph)
         correction.inserted = last
 
     def _merge_corrected_map(self, closure_state: LoopClosureState, state: FilterState) -> bool:

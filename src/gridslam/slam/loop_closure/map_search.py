@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import math
-from typing import NamedTuple, final
+from typing import final
 
 import numpy as np
 from numpy.typing import NDArray
 
-from gridslam.geometry.angles import wrap
+from gridslam.geometry.se2 import wrap_poses
 from gridslam.grid.tiles import TileMaps
 from gridslam.kernels import TILE
 from gridslam.matching.branch_and_bound import thin_points
@@ -32,22 +32,6 @@ _DISTINCT_RAD = 0.15
 
 
 @final
-class MapPlace(NamedTuple):
-    """A place where a submap may lie in a map.
-
-    Attributes
-    ----------
-    pose : (3,) float64
-        Of the submap's frame in the map.
-    points : (B, 2) float64
-        Of the submap, by which the place was refined.
-    """
-
-    pose: FloatArray
-    points: FloatArray
-
-
-@final
 class MapSearch:
     """Searches a map for submaps: any two keypoints that match in both propose a pose, and the map decides.
 
@@ -67,21 +51,24 @@ class MapSearch:
 
     def __call__(
         self, submap: Submap, near: FloatArray | None = None, near_m: float = math.inf, near_rad: float = math.inf
-    ) -> list[MapPlace]:
-        """Return the places where a submap may lie, refined; all of them, or those near a pose (3,)."""
+    ) -> tuple[FloatArray, FloatArray]:
+        """Return the poses (K, 3) where a submap may lie, and the points (B, 2) of it by which they were refined.
+
+        All of them, or those near a pose (3,).
+        """
         pairs = match_nearest_features(self._features, submap.features, _NEAREST)
         poses = poses_of_pairs(self._features, submap.features, pairs, _MOST_COMPARED)
         if near is not None:
-            away = poses - near
-            poses = poses[(np.hypot(away[:, 0], away[:, 1]) < near_m) & (np.abs(wrap(away[:, 2])) < near_rad)]
+            away = np.abs(wrap_poses(poses - near))
+            poses = poses[(np.hypot(away[:, 0], away[:, 1]) < near_m) & (away[:, 2] < near_rad)]
         if not len(poses):
-            return []
+            return poses, np.empty((0, 2))
         points = submap.collect_points()
         rows = np.zeros(len(poses), np.int32)
         away_m = self.maps.distances(rows, poses, thin_points(points, _RANKED_POINTS))
         poses = _select_distinct(poses, cauchy_weights(away_m, _RANK_M).mean(axis=1))
         few = thin_points(points, _REFINED_POINTS)
-        return [MapPlace(pose, few) for pose in match_points(self.maps, poses, few).poses]
+        return match_points(self.maps, poses, few).poses, few
 
 
 def _occupied_points(maps: TileMaps) -> FloatArray:
@@ -99,6 +86,6 @@ def _select_distinct(poses: FloatArray, weights: NDArray[np.float32]) -> FloatAr
     chosen: list[FloatArray] = []
     while len(left) and len(chosen) < _REFINED:
         chosen.append(left[0])
-        away = left - left[0]
-        left = left[(np.hypot(away[:, 0], away[:, 1]) >= _DISTINCT_M) | (np.abs(wrap(away[:, 2])) >= _DISTINCT_RAD)]
+        away = np.abs(wrap_poses(left - left[0]))
+        left = left[(np.hypot(away[:, 0], away[:, 1]) >= _DISTINCT_M) | (away[:, 2] >= _DISTINCT_RAD)]
     return np.array(chosen)

@@ -7,8 +7,8 @@ import math
 import numpy as np
 
 from gridslam.geometry.angles import wrap
-from gridslam.geometry.se2 import between, compose
-from gridslam.geometry.single_pose import as_pose
+from gridslam.geometry.se2 import between, compose, wrap_poses
+from gridslam.geometry.single_pose import as_pose, is_within
 from gridslam.grid.tiles import TileMaps
 from gridslam.mapping.occupancy_grid_mapping import OccupancyGridMapping
 from gridslam.matching.gauss_newton import NO_PRIOR, GaussNewton, cauchy_weights
@@ -23,7 +23,6 @@ from gridslam.slam.loop_closure.key_graph import (
 )
 from gridslam.slam.loop_closure.state import LoopClosureState
 from gridslam.slam.loop_closure.submaps import ROW
-from gridslam.tracking.state import is_within
 from gridslam.types import FloatArray
 
 _RECENT_SUBMAPS = 3
@@ -109,8 +108,8 @@ class PlaceMatching:
             return False
         return float(cauchy_weights(away[known], _MATCHER.cauchy_m).mean()) >= self.inlier_ratio
 
-    def match_tracked_revisit(self, closure_state: LoopClosureState, mapper: OccupancyGridMapping) -> bool:
-        """Match the newest key scan to an old submap at its tracked or filtered pose; return whether that was certain.
+    def match_tracked_revisit(self, closure_state: LoopClosureState, mapper: OccupancyGridMapping) -> None:
+        """Match the newest key scan to an old submap at its tracked or filtered pose; add the constraint if it fits.
 
         No search is needed: the relative pose is known from tracking, or proposed by the filter.
         """
@@ -118,34 +117,34 @@ class PlaceMatching:
         newest = len(graph) - 1
         oldest = submap_of(newest) - _RECENT_SUBMAPS
         if oldest < 0 or len(closure_state.scans.key(newest)) < _MATCHER.min_beams:
-            return False
+            return
         last = _find_last_certain(graph)
         if last is not None and _is_revisit_near(graph, last):
-            return False
+            return
         tracked = None if last is None else self._predict_from_constraint(graph, last, oldest)
         prediction = tracked or self._predict_from_filter(closure_state, oldest)
         if prediction is None:
-            return False
+            return
         submap, guess = prediction
         max_correction_m = 3 * self.certain_sigma_m if tracked is None else _TRACKED_MAX_CORRECTION_M
         maps = closure_state.submap(submap, mapper)
         constraint = self.match(closure_state, maps, newest, submap, guess, max_correction_m, ConstraintSource.TRACKED)
         if constraint is None or abs(wrap(constraint.measurement[2] - guess[2])) > _TRACKED_MAX_TURN_RAD:
-            return False
+            return
         if tracked is None:
             anchor = anchor_of(submap)
             (expected,), covariances = graph.locate(newest, np.array([anchor]))
-            innovation = compute_innovation(*compose(graph.poses[anchor], np.stack([expected, constraint.measurement])))
+            here = compose(graph.poses[anchor], np.stack([expected, constraint.measurement]))
+            innovation = wrap_poses(here[1] - here[0])
             is_far = math.hypot(innovation[0], innovation[1]) > self.filter_max_correction_m
             if is_far or squared_sigmas(covariances[0], innovation) >= _GATE_SIGMAS**2:
-                return False
+                return
             sigma_m = float(position_sigmas(covariances)[0])
             if sigma_m > self.certain_sigma_m:
                 if not constraint.determined and sigma_m > 2 * self.certain_sigma_m:
-                    return False
+                    return
                 constraint = constraint._replace(source=ConstraintSource.PROXIMITY)
         graph.add(constraint)
-        return constraint.source is ConstraintSource.TRACKED
 
     def _predict_from_constraint(self, graph: KeyGraph, last: Constraint, oldest: int) -> tuple[int, FloatArray] | None:
         """The submap reached by tracking from a constraint, and the pose of the robot in its frame."""
@@ -171,12 +170,8 @@ class PlaceMatching:
 
 def _find_last_certain(graph: KeyGraph) -> Constraint | None:
     """The last constraint from which the newest key scan is tracked, if that is not too long ago."""
-    certain = (
-        constraint
-        for constraint in reversed(graph.constraints[-_TRACKED_KEY_SCANS:])
-        if constraint.determined and constraint.source is not ConstraintSource.PROXIMITY
-    )
-    last = next(certain, None)
+    newest = reversed(graph.constraints[-_TRACKED_KEY_SCANS:])
+    last = next((constraint for constraint in newest if constraint.is_certain), None)
     return None if last is None or len(graph) - 1 - last.to > _TRACKED_KEY_SCANS else last
 
 
@@ -189,8 +184,3 @@ def _is_revisit_near(graph: KeyGraph, last: Constraint) -> bool:
 def squared_sigmas(covariance: FloatArray, innovation: FloatArray) -> float:
     """Squared Mahalanobis distance of the innovation (3,) of a match, given the covariance (3, 3) of the drift."""
     return float(innovation @ np.linalg.solve(covariance + _MATCH_COVARIANCE, innovation))
-
-
-def compute_innovation(expected: FloatArray, found: FloatArray) -> FloatArray:
-    """Innovation (3,), map frame, of a pose (3,) that was found from where it is expected, (3,)."""
-    return np.append((found - expected)[:2], wrap(found[2] - expected[2]))

@@ -14,9 +14,8 @@ from numpy.typing import NDArray
 from gridslam import serialization
 from gridslam.arguments import Limits
 from gridslam.errors import ArgumentError
-from gridslam.geometry.single_pose import UNKNOWN_POSE, Pose
+from gridslam.geometry.single_pose import UNKNOWN_POSE, Pose, is_within
 from gridslam.grid.scan_batch import ScanBatch
-from gridslam.tracking.state import is_within
 from gridslam.types import BeamEnds, FloatArray, IntArray, StoredScan
 
 _STEPS = 32767

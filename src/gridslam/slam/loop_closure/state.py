@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
@@ -12,7 +11,7 @@ from typing import Annotated, NamedTuple, Protocol, final
 import numpy as np
 
 from gridslam.arguments import COUNT, Limits, Size
-from gridslam.geometry.angles import wrap
+from gridslam.geometry.single_pose import as_pose, is_within
 from gridslam.grid.tiles import TileMaps
 from gridslam.mapping.occupancy_grid_mapping import OccupancyGridMapping
 from gridslam.serialization import NOT_SAVED
@@ -55,8 +54,7 @@ class SubmapPrior(NamedTuple):
 
     def allows(self, pose: FloatArray) -> bool:
         """Whether a pose (3,) is within reach."""
-        x, y, turn = (pose - self.pose).tolist()
-        return math.hypot(x, y) < self.reach_m and abs(wrap(turn)) < self.reach_rad
+        return is_within(as_pose(pose), as_pose(self.pose), self.reach_m, self.reach_rad)
 
 
 @final

@@ -121,8 +121,6 @@ def match_features(old: SubmapFeatures, new: SubmapFeatures) -> IntArray:
 
 def match_nearest_features(old: SubmapFeatures, new: SubmapFeatures, count: int) -> IntArray:
     """Match each new keypoint with the `count` old ones of the nearest descriptors: pairs (M, 2), best first."""
-    if not (len(old) and len(new)):
-        return np.empty((0, 2), np.int64)
     different = _count_different_bits(new.descriptors, old.descriptors)
     nearest = np.argsort(different, axis=1, kind="stable")[:, :count]
     bits = np.take_along_axis(different, nearest, axis=1).ravel()

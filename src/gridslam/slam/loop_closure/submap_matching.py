@@ -11,6 +11,7 @@ import numpy as np
 
 from gridslam.geometry.angles import wrap
 from gridslam.geometry.se2 import between, transform_points
+from gridslam.geometry.single_pose import as_pose, is_within
 from gridslam.grid.tiles import TileMaps
 from gridslam.mapping.occupancy_grid_mapping import OccupancyGridMapping
 from gridslam.matching.branch_and_bound import thin_points
@@ -141,8 +142,7 @@ def verify_pose(old: DrawnSubmap, new: DrawnSubmap, pose: FloatArray) -> Match |
 
 def is_same_place(pose: FloatArray, other: FloatArray) -> bool:
     """Whether two poses (3,) that were refined are one."""
-    x, y, turn = between(pose, other).tolist()
-    return math.hypot(x, y) < _INLIER_M and abs(turn) < _SAME_HEADING_RAD
+    return is_within(as_pose(pose), as_pose(other), _INLIER_M, _SAME_HEADING_RAD)
 
 
 def _fits(maps: TileMaps, pose: FloatArray, points: FloatArray) -> bool:
@@ -161,8 +161,6 @@ def propose_poses(old: SubmapFeatures, new: SubmapFeatures) -> list[FloatArray]:
     """
     pairs = match_features(old, new)
     rough = poses_of_pairs(old, new, pairs, _MOST_PAIRS)
-    if not len(rough):
-        return []
     a, b = old.points[pairs[:, 0]], new.points[pairs[:, 1]]
     agree = np.square(transform_points(rough[:, None], b) - a).sum(axis=2) < _SAME_M**2
     counts = agree.sum(axis=1)
@@ -170,7 +168,8 @@ def propose_poses(old: SubmapFeatures, new: SubmapFeatures) -> list[FloatArray]:
     for place in np.argsort(-counts, kind="stable").tolist():
         if counts[place] < _MIN_KEYPOINTS or len(taken) >= _MAX_POSES:
             break
-        if not any(_is_near(rough[place], rough[other]) for other in taken):
+        pose = as_pose(rough[place])
+        if not any(is_within(pose, as_pose(rough[other]), _DISTINCT_M, _DISTINCT_RAD) for other in taken):
             taken.append(place)
     return [_fit(a[agree[place]], b[agree[place]]) for place in taken]
 
@@ -201,11 +200,6 @@ def _distances(points: FloatArray) -> FloatArray:
     """Distances (K, K) of points (K, 2) from each other."""
     x, y = (np.subtract.outer(along, along) for along in points.T)
     return np.asarray(np.sqrt(x * x + y * y))
-
-
-def _is_near(pose: FloatArray, other: FloatArray) -> bool:
-    x, y, turn = (pose - other).tolist()
-    return math.hypot(x, y) < _DISTINCT_M and abs(wrap(turn)) < _DISTINCT_RAD
 
 
 def _fit(a: FloatArray, b: FloatArray) -> FloatArray:

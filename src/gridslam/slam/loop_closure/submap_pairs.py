@@ -19,7 +19,7 @@ from gridslam.slam.loop_closure.submap_matching import (
     verify_pose,
 )
 from gridslam.slam.loop_closure.walls import leave_open
-from gridslam.types import FloatArray, IntArray, Match
+from gridslam.types import FloatArray, Match
 
 _FEWEST_KEY_SCANS = 5
 _MOST_DRAWN = 8
@@ -44,11 +44,6 @@ class SubmapPairs:
         self._proposed: dict[tuple[int, int], list[FloatArray]] = {}
         self._verified: dict[tuple[int, int, int], Match | None] = {}
         self._drawn: dict[int, DrawnSubmap] = {}
-
-    @property
-    def anchors(self) -> IntArray:
-        """Key scans (S,) in the middle of the submaps."""
-        return np.array([submap.anchor for submap in self.submaps], np.int64)
 
     def cut(
         self,

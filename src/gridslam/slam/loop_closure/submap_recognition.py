@@ -8,12 +8,12 @@ from typing import final
 import numpy as np
 from numpy.typing import NDArray
 
-from gridslam.geometry.se2 import between, compose, rotate_covariances
+from gridslam.geometry.se2 import between, compose, rotate_covariances, wrap_poses
 from gridslam.mapping.occupancy_grid_mapping import OccupancyGridMapping
 from gridslam.parameters import bounded, parameters
 from gridslam.slam.loop_closure.constraints import Constraint, ConstraintSource, key_scan_pairs
 from gridslam.slam.loop_closure.key_graph import KeyGraph, position_sigmas
-from gridslam.slam.loop_closure.place_matching import compute_innovation, squared_sigmas
+from gridslam.slam.loop_closure.place_matching import squared_sigmas
 from gridslam.slam.loop_closure.state import LoopClosureState, SubmapPrior
 from gridslam.slam.loop_closure.submap_pairs import SubmapPairs
 from gridslam.types import FloatArray, IntArray, Match
@@ -160,7 +160,7 @@ class SubmapRecognition:
         """Expect older submaps that may show the same place, and count those that the bound of the drift leaves out."""
         if not newer:
             return [], 0
-        anchors = pairs.anchors[:newer]
+        anchors = np.array([submap.anchor for submap in pairs.submaps[:newer]], np.int64)
         key = pairs.submaps[newer].anchor
         way = graph.driven_m()
         labels = graph.label_rigid_components()
@@ -264,7 +264,8 @@ class SubmapRecognition:
 def drift_distance(graph: KeyGraph, older: int, key: int, pose: FloatArray) -> float:
     """Squared Mahalanobis distance of a key scan's pose (3,), seen from an older one, from where it is expected."""
     (expected,), (covariance,) = graph.locate(key, np.array([older]))
-    return squared_sigmas(covariance, compute_innovation(*compose(graph.poses[older], np.stack([expected, pose]))))
+    here, there = compose(graph.poses[older], np.stack([expected, pose]))
+    return squared_sigmas(covariance, wrap_poses(there - here))
 
 
 def _clique_sizes(consistent: NDArray[np.bool_]) -> IntArray:

@@ -51,7 +51,7 @@ def insert_key_scans(
     poses: FloatArray,
     graph: KeyGraph,
 ) -> None:
-    """Draw key scans at poses (K, 3) into the one map of `maps`, drive by drive.
+    """Draw some of the key scans, all of which are at poses (T, 3), into the one map of `maps`, drive by drive.
 
     What earlier drives have drawn is no longer certain when the next one begins: a cell may have changed in between,
     with probability p. A binary Markov chain leaves at most log((1 - p) / p) of its log-odds then, 2.9 nats: what has
@@ -63,10 +63,10 @@ def insert_key_scans(
     Meyer-Delius, Beinhofer, Burgard, Occupancy grid models for robot mapping in changing environments (2012); Yguel,
     Aycard, Laugier, Update policy of dense maps (2008), of the limit.
     """
-    for key, pose in zip(keys, poses, strict=True):
+    for key in keys:
         if graph.begins_drive(key):
             fade(maps)
-        maps.update(ROW, pose[None], scans.key(key))
+        maps.update(ROW, poses[key : key + 1], scans.key(key))
 
 
 def fade(maps: TileMaps) -> None:

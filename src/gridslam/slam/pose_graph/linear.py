@@ -164,14 +164,10 @@ class BlockSystem:
         """Sum blocks to the numbers of H and to the gradient (free * size,)."""
         numbers = np.concatenate((self._of_upper(blocks.first), blocks.cross, self._of_upper(blocks.second)), axis=None)
         matrix = np.bincount(self._slots, numbers, len(self._matrix.indices) + 1)[:-1]
-        return np.asarray(matrix, np.float64), self.gradient(blocks.gradient_first, blocks.gradient_second)
-
-    def gradient(self, first: FloatArray, second: FloatArray) -> FloatArray:
-        """Sum the terms (M, size) of both poses of each measurement, to (free * size,)."""
-        slots = np.concatenate((self._first, self._second)) + 1
-        values = np.concatenate((first, second))
-        summed = [np.bincount(slots, column, self.free + 1)[1:] for column in values.T]
-        return np.asarray(np.stack(summed, axis=1).ravel(), np.float64)
+        of_poses = np.concatenate((self._first, self._second)) + 1
+        terms = np.concatenate((blocks.gradient_first, blocks.gradient_second))
+        gradient = [np.bincount(of_poses, column, self.free + 1)[1:] for column in terms.T]
+        return np.asarray(matrix, np.float64), np.asarray(np.stack(gradient, axis=1).ravel(), np.float64)
 
     def factorize(self, matrix: FloatArray, damping: float = 0.0) -> None:
         """Factorize H + damping diag(H) for `solve`, from the numbers that `assemble` returns.

@@ -162,12 +162,8 @@ class _Search:
         self.iterations = 0
 
     def round(self, poses: FloatArray) -> Computation[RobustEstimate]:
-        """Graduate from poses (N, 3), then fit the inliers until the cost stops decreasing."""
+        """Graduate from poses (N, 3), then fit the inliers and reclassify in turn until the cost stops decreasing."""
         poses, weights = yield from self._graduate(poses)
-        return (yield from self._fit_and_reclassify(weights, poses))
-
-    def _fit_and_reclassify(self, weights: FloatArray, poses: FloatArray) -> Computation[RobustEstimate]:
-        """Alternate fitting the inliers and reclassifying, from poses (N, 3), until the cost stops decreasing."""
         best = RobustEstimate(DescentResult(poses, np.inf, 0, False), weights, np.inf)
         for _ in range(_REFITS):
             found = yield from self._refit(weights, best)
