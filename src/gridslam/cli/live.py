@@ -79,9 +79,6 @@ class Viewers(NamedTuple):
                 warn(f"the final map cannot be shown: {describe_error(error)}")
 
 
-NOBODY = Viewers(None, None, Messages(lambda level, text: warn(text)))
-
-
 @contextmanager
 def open_viewers(
     live: LiveOptions | None,

@@ -65,7 +65,7 @@ def simulate_to_log(
 ) -> None:
     """Write a simulated log and its true trajectory."""
     truth_path = out.with_name(_truth_name(out))
-    lidar = _lidar(beams, fov_deg, range_max_m, rate_hz)
+    lidar = LidarConfig(beams=beams, field_of_view_rad=math.radians(fov_deg), range_max_m=range_max_m, rate_hz=rate_hz)
     scans = None if duration_s is None else math.floor(min(duration_s, _DAY_S) * rate_hz) + 1
     rng = np.random.default_rng(seed)
     crowd = PeopleConfig(count=people)
@@ -111,10 +111,6 @@ def _truth_name(out: Path) -> str:
             "(gridslam convert writes other formats)"
         )
     return f"{plain.stem}.truth.tum"
-
-
-def _lidar(beams: int, fov_deg: float, range_max_m: float, rate_hz: float) -> LidarConfig:
-    return LidarConfig(beams=beams, field_of_view_rad=math.radians(fov_deg), range_max_m=range_max_m, rate_hz=rate_hz)
 
 
 def demo(out: Path, seed: int, live: LiveOptions | None, no_history: bool, as_json: bool) -> None:
