@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from typing import final
 
@@ -167,4 +167,12 @@ def choose_name(name: str, others: Sequence[str]) -> str:
     while chosen in taken:
         chosen = f"{name}_{number}"
         number += 1
+    return chosen
+
+
+def choose_names(names: Iterable[str]) -> list[str]:
+    """Give each of several names as `choose_name` does: one that is repeated gets a number."""
+    chosen: list[str] = []
+    for name in names:
+        chosen.append(choose_name(name, chosen))
     return chosen
