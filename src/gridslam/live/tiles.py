@@ -77,17 +77,11 @@ class TileChangeDetector:
 
 def _align(*tables: tuple[Int32Array, tuple[int, int]]) -> tuple[Int32Array, Int32Array, IntArray]:
     """Return two tables of ids over the same tiles, and the row and column of their corner."""
-    (one, corner), (other, at) = tables
-    if corner == at and one.shape == other.shape:
-        return one, other, np.array(corner)
-    corners = np.array([corner, at])
-    origin = corners.min(axis=0)
-    end = (corners + [table.shape for table in (one, other)]).max(axis=0)
-    wide: list[Int32Array] = []
-    for table, (row, column) in ((one, corners[0] - origin), (other, corners[1] - origin)):
-        wide.append(np.zeros(end - origin, np.int32))
-        wide[-1][row : row + table.shape[0], column : column + table.shape[1]] = table
-    return wide[0], wide[1], origin
+    begins = np.array([corner for _, corner in tables])
+    ends = begins + [ids.shape for ids, _ in tables]
+    margins = np.stack([begins - begins.min(axis=0), ends.max(axis=0) - ends], axis=2)
+    one, other = (np.pad(ids, around) for (ids, _), around in zip(tables, margins, strict=True))
+    return one, other, begins.min(axis=0)
 
 
 @final
