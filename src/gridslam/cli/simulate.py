@@ -131,7 +131,8 @@ def demo(out: Path, seed: int, live: LiveOptions | None, no_history: bool, as_js
             result = map_with_progress(
                 log, partial(map_log, configuration=configuration, seed=seed), watch, viewers, shown=not as_json
             )
-            truth = _align_truth(simulated.truth, result.trajectory)
+            moved = align(simulated.truth.poses[:, :2], result.trajectory.poses[:, :2])  # of the same scans
+            truth = Trajectory(simulated.truth.stamps_ns, compose(moved, simulated.truth.poses))
             viewers.write_history(folder)
             document = replace(result, source=out / _DEMO_LOG, truth=truth).write(folder)
         errors = score_against_truth(result.trajectory, simulated.truth)
@@ -145,8 +146,3 @@ def demo(out: Path, seed: int, live: LiveOptions | None, no_history: bool, as_js
         ]
         content = {"schema": DEMO_SCHEMA, "run": document, "errors": errors, "odometry_errors": odometry}
         print_result(content, summary, as_json)
-
-
-def _align_truth(truth: Trajectory, estimate: Trajectory) -> Trajectory:
-    """Align the true trajectory rigidly with the estimate; both have the same scans."""
-    return Trajectory(truth.stamps_ns, compose(align(truth.poses[:, :2], estimate.poses[:, :2]), truth.poses))
