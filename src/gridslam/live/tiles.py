@@ -149,17 +149,13 @@ def tile_offset(grid: OccupancyGrid) -> tuple[float, float]:
 
 def split_into_tiles(grid: OccupancyGrid) -> TileChanges:
     """Return the known tiles of a rectangular map, whose cells are moved to the nearest cells of the tiles' grid."""
-    height, width = grid.known.shape
     column, row = (round(corner / grid.resolution_m) for corner in grid.origin)
-    first = row // TILE, column // TILE
-    rows = -(-(row + height) // TILE) - first[0]
-    columns = -(-(column + width) // TILE) - first[1]
-    cells = np.full((rows * TILE, columns * TILE), UNKNOWN, np.int16)
     steps = np.clip(np.rint(grid.log_odds / np.float32(LOG_ODDS_UNIT)), UNKNOWN + 1, -UNKNOWN - 1)
-    top = row - first[0] * TILE
-    left = column - first[1] * TILE
-    cells[top : top + height, left : left + width] = np.where(grid.known, steps, UNKNOWN).astype(np.int16)
-    blocks = cells.reshape(rows, TILE, columns, TILE).swapaxes(1, 2)
+    known = np.where(grid.known, steps, UNKNOWN).astype(np.int16)
+    margins = [(first % TILE, -(first + side) % TILE) for first, side in zip((row, column), known.shape, strict=True)]
+    cells = np.pad(known, margins, constant_values=UNKNOWN)
+    height, width = cells.shape
+    blocks = cells.reshape(height // TILE, TILE, width // TILE, TILE).swapaxes(1, 2)
     used = np.nonzero((blocks != UNKNOWN).any(axis=(2, 3)))
-    at = np.stack(used, axis=1).astype(np.int32) + np.array(first, np.int32)
+    at = np.stack(used, axis=1).astype(np.int32) + np.array([row // TILE, column // TILE], np.int32)
     return TileChanges(at, blocks[used])
