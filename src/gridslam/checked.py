@@ -101,22 +101,19 @@ def _check_calls(function: Callable[..., Any]) -> Callable[..., Any]:
 
 
 @functools.cache
-def _signature(function: Callable[..., Any]) -> tuple[inspect.Signature, dict[str, Any]]:
+def _signature(function: Callable[..., Any]) -> tuple[inspect.Signature, dict[str, Any], bool]:
+    """Return the signature of a function, its annotations, and whether one of them asks for the length of `self`."""
     names = _Names(getattr(function, "__globals__", {}))
-    return inspect.signature(function), get_type_hints(function, localns=names, include_extras=True)
-
-
-@functools.cache
-def _text(function: Callable[..., Any]) -> str:
-    return repr(_signature(function)[1])
+    hints = get_type_hints(function, localns=names, include_extras=True)
+    return inspect.signature(function), hints, "'self'" in repr(hints)
 
 
 def _require_arguments(
     function: Callable[..., Any], args: tuple[Any, ...], kwargs: dict[str, Any], require: Callable[..., None]
 ) -> None:
-    signature, hints = _signature(function)
+    signature, hints, measures_self = _signature(function)
     arguments = signature.bind(*args, **kwargs).arguments
-    sizes = {"self": len(arguments["self"])} if "'self'" in _text(function) else {}
+    sizes = {"self": len(arguments["self"])} if measures_self else {}
     for name, value in arguments.items():
         hint = hints.get(name, Any)
         kind = signature.parameters[name].kind

@@ -26,11 +26,10 @@ class TrajectoryRecorder:
     Uses 64 bytes of memory for a scan.
     """
 
-    __slots__ = ("_key_from_base", "_keys", "_online", "_stamps_ns", "_steps")
+    __slots__ = ("_key_from_base", "_keys", "_online", "_stamps_ns")
 
     def __init__(self) -> None:
         """Start without scans; the first one must be the filter's first."""
-        self._steps = 0
         self._stamps_ns = array("q")
         self._keys = array("q")
         self._online = array("d")
@@ -39,8 +38,8 @@ class TrajectoryRecorder:
     def __call__(self, report: StepReport, state: GridFastSlamState, seconds: float) -> None:
         """Record one scan."""
         self._stamps_ns.append(report.stamp_ns)
-        self._steps += report.skipped is None
-        self._keys.append(self._steps - 1)
+        last = self._keys[-1] if self._keys else -1
+        self._keys.append(last + (report.skipped is None))
         self._online.extend(report.pose.tolist())
         self._key_from_base.extend(report.key_from_base.tolist())
 
@@ -65,7 +64,6 @@ class TrajectoryRecorder:
             ("key_from_base", self._key_from_base, ("scans", 3)),
         ):
             kept.frombytes(read_array(arrays, name, kept.typecode, shape, sizes).tobytes())
-        self._steps = self._keys[-1] + 1 if self._keys else 0
         return self
 
     @property

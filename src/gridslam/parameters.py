@@ -8,7 +8,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import field
 from inspect import Signature, signature
 from types import NoneType
-from typing import TYPE_CHECKING, Any, Literal, TypeVar, cast, final, get_args
+from typing import TYPE_CHECKING, Any, Literal, TypeVar, final, get_args
 
 from pydantic import ConfigDict, GetCoreSchemaHandler, TypeAdapter, ValidationError
 from pydantic.dataclasses import dataclass
@@ -16,10 +16,9 @@ from pydantic_core import CoreSchema, ErrorDetails, core_schema
 
 from gridslam.errors import ConfigurationError
 
-__all__ = ["Kind", "Table", "adapter", "bounded", "parameters", "to_table"]
+__all__ = ["Kind", "Table", "bounded", "parameters", "to_table"]
 
 Table = dict[str, Any]
-_Part = TypeVar("_Part")
 _Number = TypeVar("_Number", int, float)
 
 if TYPE_CHECKING:
@@ -77,20 +76,9 @@ def bounded(default: _Number, **bounds: float) -> _Number:
     return field(default=default, metadata=bounds)
 
 
-def adapter(part: type[_Part]) -> TypeAdapter[_Part]:
-    """Return the adapter by which pydantic checks objects of a class of parameters."""
-    kind: Any = part
-    return cast("TypeAdapter[_Part]", _adapter(kind))
-
-
-@functools.cache
-def _adapter(part: type) -> TypeAdapter[Any]:
-    return TypeAdapter(part)
-
-
 def to_table(part: object) -> Table:
     """Return parameters of a part; those of its own parts are tables in it."""
-    table: Table = adapter(type(part)).dump_python(part)
+    table: Table = TypeAdapter(type(part)).dump_python(part)
     return table
 
 

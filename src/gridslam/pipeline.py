@@ -75,12 +75,6 @@ def describe_error(error: BaseException) -> str:
     return f"{text} ({Path(frames[-1].filename).name}, line {frames[-1].lineno})" if frames else text
 
 
-def _without_frames(error: Exception) -> Exception:
-    """Drop the frames of an exception, which keep the state of its step alive."""
-    error.__context__ = error.__cause__ = None
-    return error.with_traceback(None)
-
-
 @final
 class FailedStep(NamedTuple):
     """A step that raised an exception; its scan is skipped.
@@ -263,7 +257,8 @@ def run(
             if on_failure is None:
                 raise
             problem = describe_error(error)
-            failure = _without_frames(error)
+            error.__context__ = error.__cause__ = None
+            failure = error.with_traceback(None)  # frames would keep the state of the step alive
         else:
             seconds = watch.lap("track" if report.skipped else "step")
             for observe in observers:

@@ -12,13 +12,14 @@ from pathlib import Path
 from typing import Any, get_args, get_type_hints
 
 import numpy as np
+from pydantic import TypeAdapter
 
 import gridslam
 from gridslam.config.configuration import Configuration
 from gridslam.config.tables import nest, replace_parameters
 from gridslam.errors import ConfigurationError, GridslamError
 from gridslam.io.carmen.writer import write_carmen
-from gridslam.parameters import Kind, adapter
+from gridslam.parameters import Kind
 from gridslam.sim import LidarConfig, OdometryNoise, RobotConfig, make_world, simulate
 from support.children import run_in_child
 
@@ -65,7 +66,7 @@ def numbers(part: type = Configuration, name: str = "", kinds: tuple[tuple[str, 
 
 
 def _properties(part: type) -> dict[str, Any]:
-    schema = adapter(part).json_schema()
+    schema = TypeAdapter(part).json_schema()
     found: dict[str, Any] = schema["properties"]
     return found
 

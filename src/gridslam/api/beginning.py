@@ -163,7 +163,8 @@ def decide_place(run: SavedRun, slam: GridFastSlam, first: Measurement) -> Place
     moved = None if odometry is None else between(state.tracker.odometry, as_pose(odometry.pose))
     if moved is not None and not is_known(moved):
         moved = None
-    reasons = [f"the first scan is {_describe_gap(gap_s)} the last one"]
+    side = "after" if gap_s >= 0 else "before"
+    reasons = [f"the first scan is {describe_duration(gap_s)} {side} the last one"]
     is_on_time = 0 <= gap_s <= _MAX_GAP_S
     goes_on = is_on_time
     if moved is not None:
@@ -176,10 +177,6 @@ def decide_place(run: SavedRun, slam: GridFastSlam, first: Measurement) -> Place
     fits = ratio >= _MIN_INLIER_RATIO and away_m <= _MAX_GAIN_M
     reasons.append(f"{ratio:.0%} of its beams fit the map {'there' if fits else 'there, too few or too far away'}")
     return PlaceDecision(goes_on and fits, ", ".join(reasons))
-
-
-def _describe_gap(seconds: float) -> str:
-    return f"{describe_duration(seconds)} {'after' if seconds >= 0 else 'before'}"
 
 
 def _match_first(state: GridFastSlamState, slam: GridFastSlam, scan: LaserScan, moved: Pose) -> tuple[float, float]:

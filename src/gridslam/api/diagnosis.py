@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Any
 
 from gridslam.doctor import CheckedLog, Diagnosis, Finding
 from gridslam.doctor.report import document, text
@@ -30,10 +29,8 @@ def describe_finding(log: Log, finding: Finding) -> str:
     return f"{log.path}: {finding.code}: {finding.message} {finding.remedy}".rstrip()
 
 
-def write_diagnosis(diagnosis: Diagnosis, folder: OutputFolder) -> dict[str, Any]:
-    """Write report.json and report.txt; returns the JSON."""
-    content = document(diagnosis)
-    folder.write_json("report.json", content)
+def write_diagnosis(diagnosis: Diagnosis, folder: OutputFolder) -> None:
+    """Write report.json and report.txt."""
+    folder.write_json("report.json", document(diagnosis))
     lines = "\n".join(text(diagnosis)) + "\n"  # with the name of the log, which may hold bytes that are no text
     folder.file("report.txt").write_text(lines, encoding="utf-8", errors="backslashreplace")
-    return content

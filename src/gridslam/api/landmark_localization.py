@@ -4,14 +4,14 @@ from __future__ import annotations
 
 import os
 from collections.abc import Callable, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any, ClassVar, final
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from gridslam.api.landmarks import COMMANDS, MOTION, SENSORS, ResultByLandmarks, align_trajectory
+from gridslam.api.landmarks import COMMANDS, MOTION, SENSORS, ResultByLandmarks, align_trajectory, run_steps
 from gridslam.api.result import write_trajectory
 from gridslam.checked import checked
 from gridslam.errors import ArgumentError, InputError
@@ -194,13 +194,9 @@ def localize_by_landmarks(
     ekf = EkfLocalization(known, model, association, bias)
     if pose is None:
         pose = _find_start(source, steps) if landmarks is None else np.zeros(3)
-    belief = ekf.init(pose, covariance)
-    reports = list[EkfLocalizationReport]()
-    for step in steps:
-        seen = step.observations.drop_correspondences() if unknown else step.observations
-        belief, report = ekf.step(belief, step.motion(motion), seen)
-        reports.append(report)
-        on_progress()
+    if unknown:
+        steps = [replace(step, observations=step.observations.drop_correspondences()) for step in steps]
+    _, reports = run_steps(steps, motion, ekf.step, ekf.init(pose, covariance), on_progress)
     watch.lap("solve")
     if not any((report.landmarks >= 0).any() for report in reports):
         raise InputError(source.path, "expected observations of the landmarks in the map, got none that fits")

@@ -5,8 +5,9 @@ from __future__ import annotations
 import os
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass, replace
+from functools import partial
 from pathlib import Path
-from typing import Any, ClassVar, Final, Literal, NamedTuple, TypeAlias, final
+from typing import Any, ClassVar, Final, Literal, NamedTuple, TypeAlias, TypeVar, final
 
 import numpy as np
 
@@ -32,6 +33,7 @@ from gridslam.models.association import (
 from gridslam.models.landmark import (
     DepthBearing,
     LandmarkModel,
+    LandmarkObservations,
     LandmarkStep,
     ObservationKind,
     RangeBearing,
@@ -49,7 +51,7 @@ from gridslam.slam.landmarks.graph_slam import LandmarkGraphSlam
 from gridslam.slam.landmarks.report import LandmarkMap, LandmarkReport
 from gridslam.slam.pose_graph.graph_slam import GraphSlam
 from gridslam.slam.pose_graph.robust import CauchyEstimator
-from gridslam.types import FloatArray, IntArray, MotionModel, Trajectory
+from gridslam.types import FloatArray, IntArray, MotionModel, MotionSampler, Trajectory
 from gridslam.viz import draw_landmarks
 from gridslam.viz.notebook import Picture
 
@@ -89,6 +91,9 @@ A controller holds the speed of a wheel to about a percent, and two wheels 0.26 
 turn by 0.05 rad per metre; tread and tyres make the rest. A monocular camera's depths are as good as its focal
 length and the height of a printed mark: some percent.
 """
+
+_State = TypeVar("_State")
+_Report = TypeVar("_Report")
 
 _NO_GATE = KnownCorrespondence(gate=1e6)
 """No observation is rejected: not even where FastSLAM closes a loop of kilometres that no particle has closed yet."""
@@ -384,15 +389,26 @@ def map_landmarks(
     )
 
 
+def run_steps(
+    steps: Sequence[LandmarkStep],
+    motion: MotionModel,
+    take: Callable[[_State, MotionSampler, LandmarkObservations], tuple[_State, _Report]],
+    state: _State,
+    on_progress: Callable[[], None],
+) -> tuple[_State, list[_Report]]:
+    """Run a filter, whose method `step` is `take`, on all steps; return its last state and its reports."""
+    reports = []
+    for step in steps:
+        state, report = take(state, step.motion(motion), step.observations)
+        reports.append(report)
+        on_progress()
+    return state, reports
+
+
 def _run_ekf(
     steps: Sequence[LandmarkStep], slam: EkfSlam, motion: MotionModel, on_progress: Callable[[], None]
 ) -> LandmarkEstimate:
-    state = slam.init()
-    reports = list[LandmarkReport]()
-    for step in steps:
-        state, report = slam.step(state, step.motion(motion), step.observations)
-        reports.append(report)
-        on_progress()
+    state, reports = run_steps(steps, motion, slam.step, slam.init(), on_progress)
     errors = dict(zip(ERROR_NAMES, state.errors.tolist(), strict=True))
     return _put_together(reports, slam.landmark_map(state))._replace(figures={"systematic_errors": errors})
 
@@ -405,12 +421,7 @@ def _run_particle_filter(
     motion: MotionModel,
     on_progress: Callable[[], None],
 ) -> LandmarkEstimate:
-    state = slam.init(particles)
-    reports = list[LandmarkReport]()
-    for step in steps:
-        state, report = slam.step(state, step.motion(motion), step.observations, rng)
-        reports.append(report)
-        on_progress()
+    state, reports = run_steps(steps, motion, partial(slam.step, rng=rng), slam.init(particles), on_progress)
     figures = {
         "n_eff_mean": float(np.mean([report.n_eff for report in reports])),
         "resamplings": sum(report.parents is not None for report in reports),

@@ -27,7 +27,7 @@ from gridslam.doctor.view_breaks import split_where_carried
 from gridslam.errors import ArgumentError
 from gridslam.grid.tiles import TiledGrid
 from gridslam.io.g2o import write_g2o
-from gridslam.io.log import Log, LogOptions, LogSource
+from gridslam.io.log import LogOptions, LogSource
 from gridslam.io.log_statistics import LogStatistics
 from gridslam.io.maps import write_map
 from gridslam.io.measurement import Measurement
@@ -46,7 +46,7 @@ from gridslam.slam.loop_closure.constraints import ConstraintSource
 from gridslam.slam.loop_closure.state import LoopClosureState, RejectionReason
 from gridslam.slam.pose_graph.pose_graph import PoseGraph
 from gridslam.tracking.tracker import Tracker, TrackerState
-from gridslam.types import FloatArray, IntArray, OccupancyGrid, StepReport, Trajectory
+from gridslam.types import FloatArray, IntArray, OccupancyGrid, Trajectory
 from gridslam.viz import draw_map
 from gridslam.viz.notebook import Picture
 
@@ -157,7 +157,15 @@ class MapResult(ScanResult):
     @property
     def trajectories(self) -> dict[str, Trajectory]:
         """The trajectory of each drive in this map, by its name."""
-        return self._by_drive(self.trajectory)
+        drives = self.drives
+        trajectory = self.trajectory
+        if len(drives) < 2:
+            return {(drives[0].name if drives else self.source.stem): trajectory}
+        own = np.repeat(np.arange(len(drives)), [len(drive.stamps_ns) for drive in drives])[_sort_scans(drives)]
+        return {
+            drive.name: Trajectory(trajectory.stamps_ns[own == number], trajectory.poses[own == number])
+            for number, drive in enumerate(drives)
+        }
 
     @property
     def map(self) -> OccupancyGrid:
@@ -189,17 +197,6 @@ class MapResult(ScanResult):
                 "result", "one of all particles (keep_particles=True)", "one of the best particle alone"
             )
         return SavedSession(self.configuration, self.seed, self.run, self.pieces)
-
-    def _by_drive(self, trajectory: Trajectory) -> dict[str, Trajectory]:
-        """Split the trajectory of all drives by their names."""
-        drives = self.drives
-        if len(drives) < 2:
-            return {(drives[0].name if drives else self.source.stem): trajectory}
-        own = np.repeat(np.arange(len(drives)), [len(drive.stamps_ns) for drive in drives])[_sort_scans(drives)]
-        return {
-            drive.name: Trajectory(trajectory.stamps_ns[own == number], trajectory.poses[own == number])
-            for number, drive in enumerate(drives)
-        }
 
     def warnings(self) -> Iterator[str]:
         """Yield warnings about the log, a sentence each."""
@@ -477,23 +474,21 @@ def map_log(
     digest = digest or compute_digest(source.path)
     watch.lap("start")
 
-    def drive(measurements: Iterable[Measurement], begun: Beginning) -> GridFastSlamState:
-        def note(report: StepReport, state: GridFastSlamState, seconds: float) -> None:
-            on_progress()
-
+    def drive(measurements: Iterable[Measurement], begun: Beginning) -> Beginning:
         so_far = begun.run
         state = run(
             gate(measurements),
             slam,
             rng=so_far.rng,
-            observers=[begun.attach, so_far.trajectory, so_far.statistics, *observers, note],
+            observers=[begun.attach, so_far.trajectory, so_far.statistics, *observers, lambda *_: on_progress()],
             state=begun.attach_to(so_far.state),
             stopwatch=watch,
             on_failure=begun.failures,
         )
         begun.finish(state, slam)
         watch.lap("finish")
-        return state
+        driven = DrivenLog.of(os.fspath(source.path), digest, source.statistics)
+        return begun.go_on(state, _describe_part(begun, driven))
 
     carried: dict[str, str] = {}
 
@@ -504,13 +499,11 @@ def map_log(
     drives = split_where_carried(source, note_break)
     if configuration.loop_closure is None:  # no drive can be relocalized
         drives = iter([chain.from_iterable(drives)])
-    state = drive(next(drives, iter(())), begun)
+    ended = drive(next(drives, iter(())), begun)
     for measurements in drives:
-        ended = begun.go_on(state, _describe_part(begun, describe_log(source, digest)))
         begun = begin_new_piece(ended, configuration, seed, on_progress)
         watch.lap("final refinement")
-        state = drive(measurements, begun)
-    ended = begun.go_on(state, _describe_part(begun, describe_log(source, digest)))
+        ended = drive(measurements, begun)
     statistics = source.statistics
     statistics.faults.update(carried)
     result = finish_mapping(
@@ -553,11 +546,6 @@ def _describe_part(begun: Beginning, log: DrivenLog) -> DrivenLog:
     others = [own for drive in drives for own in drive.logs if own.sha256 == log.sha256]
     length_m = max(log.length_m - sum(own.length_m for own in others), 0.0)
     return DrivenLog(log.path, log.sha256, len(stamps_ns), stamps_ns[0], stamps_ns[-1], length_m)
-
-
-def describe_log(log: Log, digest: str) -> DrivenLog:
-    """Describe a log that was read, as a session remembers it."""
-    return DrivenLog.of(os.fspath(log.path), digest, log.statistics)
 
 
 def finish_mapping(

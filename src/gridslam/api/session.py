@@ -29,7 +29,7 @@ from gridslam.errors import ArgumentError
 from gridslam.grid.tiles import TiledGrid
 from gridslam.io.log import LogOptions, LogSource
 from gridslam.io.measurement import Measurement
-from gridslam.io.sessions.drives import Drive, DrivenLog, SavedPiece, choose_name
+from gridslam.io.sessions.drives import Drive, DrivenLog, SavedPiece, choose_name, choose_names
 from gridslam.io.sessions.session_file import SavedRun, SavedSession, read_session, write_session
 from gridslam.slam.full_slam.full_slam import FullSlam, full_slam, refine_piece
 from gridslam.slam.full_slam.full_trajectory import full_trajectories
@@ -163,10 +163,7 @@ class Session:
     @property
     def names(self) -> list[str]:
         """A name of each map, in the same order: that of its first drive."""
-        names: list[str] = []
-        for piece in self.pieces:
-            names.append(choose_name(piece.name, names))
-        return names
+        return choose_names(piece.name for piece in self.pieces)
 
     def add(
         self,
@@ -362,15 +359,10 @@ def _order(piece: SavedPiece) -> tuple[Any, ...]:
 
 def _name_apart(pieces: Sequence[SavedPiece]) -> list[SavedPiece]:
     """Give drives of the same name in several pieces names of their own."""
-    names: list[str] = []
-    renamed = []
-    for piece in pieces:
-        drives = []
-        for drive in piece.drives:
-            names.append(choose_name(drive.name, names))
-            drives.append(replace(drive, name=names[-1]))
-        renamed.append(SavedPiece(piece.piece, tuple(drives)))
-    return renamed
+    names = iter(choose_names(drive.name for piece in pieces for drive in piece.drives))
+    return [
+        SavedPiece(piece.piece, tuple(replace(drive, name=next(names)) for drive in piece.drives)) for piece in pieces
+    ]
 
 
 def _follow(members: Sequence[SavedPiece]) -> tuple[Drive, ...]:

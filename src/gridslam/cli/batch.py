@@ -107,7 +107,7 @@ class _Maker:
         """Take the options that hold for all logs."""
         self._command = command
         self._words = tuple(words)
-        self._read_before = dict[tuple[str, ...], dict[str, Any]]()
+        self._read = cache(self._parse)
         self._parser = _PARSERS[command]
         self._known = {
             option.removeprefix("--"): parameter
@@ -143,11 +143,10 @@ class _Maker:
             raise ConfigurationError(f"{entry.where}: {name}: expected true or false, got {value!r}")
         return [f"--{name}"] if value.lower() in _TRUE else []
 
-    def _read(self, words: tuple[str, ...]) -> dict[str, Any]:
-        if words not in self._read_before:
-            name = f"gridslam {self._command}"
-            self._read_before[words] = self._parser.main(list(words), prog_name=name, standalone_mode=False)
-        return self._read_before[words]
+    def _parse(self, words: tuple[str, ...]) -> dict[str, Any]:
+        name = f"gridslam {self._command}"
+        values: dict[str, Any] = self._parser.main(list(words), prog_name=name, standalone_mode=False)
+        return values
 
 
 @click.command("map", add_help_option=False)

@@ -79,9 +79,6 @@ class Viewers(NamedTuple):
                 warn(f"the final map cannot be shown: {describe_error(error)}")
 
 
-NOBODY = Viewers(None, None, Messages(lambda level, text: warn(text)))
-
-
 @contextmanager
 def open_viewers(
     live: LiveOptions | None,
@@ -117,10 +114,12 @@ def open_viewers(
 
 
 @contextmanager
-def node_page(live: LiveOptions, title: str, core: NodeCore, known: OccupancyGrid | None) -> Iterator[None]:
+def node_page(live: LiveOptions, title: str, core: NodeCore) -> Iterator[None]:
     """Serve the page of a node that is not started yet, until it has ended."""
     from gridslam.live.page import LivePage
+    from gridslam.ros.node.session import Localization
 
+    known = core.configuration.known.grid if isinstance(core.configuration, Localization) else None
     page = LivePage(title, live, range_max_m=core.configuration.range_max_m, known=known)
     with page:
 

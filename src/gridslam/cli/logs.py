@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from contextlib import nullcontext
 from dataclasses import asdict
 from pathlib import Path
 
@@ -9,10 +10,10 @@ from gridslam.api.conversion import convert_log
 from gridslam.api.diagnosis import write_diagnosis
 from gridslam.cli.options import name_option
 from gridslam.cli.output import open_output, open_progress, print_result, warn
-from gridslam.doctor import Diagnosis, Severity, diagnose
+from gridslam.doctor import Severity, diagnose
 from gridslam.doctor.report import document, text
 from gridslam.io.datasets import DATASETS, fetch_dataset, find_dataset
-from gridslam.io.log import Log, LogOptions, open_log
+from gridslam.io.log import LogOptions, open_log
 
 CONVERSION_SCHEMA = "gridslam.conversion/2"
 DATASETS_SCHEMA = "gridslam.datasets/1"
@@ -24,20 +25,16 @@ EXIT_FOUND_ERRORS = 3
 def doctor_log(log: Path, out: Path | None, options: LogOptions, as_json: bool) -> int:
     """Diagnose a log, print the findings, and write the report if a folder is given."""
     source = open_log(log, options)
-    if out is None:
-        diagnosis = _diagnose_with_progress(source, not as_json)
-    else:
-        with open_output(out) as folder:
-            diagnosis = _diagnose_with_progress(source, not as_json)
+    with (
+        nullcontext() if out is None else open_output(out) as folder,
+        open_progress(source, shown=not as_json) as on_progress,
+    ):
+        diagnosis = diagnose(source, on_progress=on_progress)
+        if folder is not None:
             write_diagnosis(diagnosis, folder)
     report = [] if out is None else [f"report: {out / 'report.txt'}"]
     print_result(document(diagnosis), [*text(diagnosis), *report], as_json)
     return EXIT_FOUND_ERRORS if diagnosis.worst is Severity.ERROR else 0
-
-
-def _diagnose_with_progress(source: Log, shown: bool) -> Diagnosis:
-    with open_progress(source, shown=shown) as on_progress:
-        return diagnose(source, on_progress=on_progress)
 
 
 def convert(log: Path, out: Path, options: LogOptions, as_json: bool) -> None:

@@ -10,7 +10,7 @@ from typing import Any, Literal
 from gridslam.api.diagnosis import check_log, describe_finding
 from gridslam.api.mapping import MapResult, map_log
 from gridslam.cli import STARTED_S
-from gridslam.cli.live import NOBODY, Viewers, open_viewers
+from gridslam.cli.live import Viewers, open_viewers
 from gridslam.cli.options import MapOptions
 from gridslam.cli.output import counted, open_output, open_progress, print_result
 from gridslam.cli.session_options import SessionOptions
@@ -63,7 +63,7 @@ def map_with_progress(
     source: Log,
     run: Callable[..., MapResult],
     watch: Stopwatch,
-    viewers: Viewers = NOBODY,
+    viewers: Viewers,
     *,
     shown: bool,
     repair: Literal["needed", "none"] = "none",
@@ -73,15 +73,13 @@ def map_with_progress(
     `run` maps it: `map_log` with what it needs besides, or the same of a session.
     """
     with open_progress(source, shown=shown) as on_progress:
-        watching = viewers.watch(source, watch)
         result = run(
             source,
             repair=repair,
-            gate=watching["gate"],
-            observers=watching["observers"],
             on_progress=on_progress,
             stopwatch=watch,
             keep_particles=viewers.page is not None,
+            **viewers.watch(source, watch),
         )
         viewers.show_result(result)
         return result

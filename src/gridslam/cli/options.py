@@ -67,22 +67,22 @@ _LOG_FIELDS = (
     "duration_s",
     "every",
 )
-_HOST_OPTIONS = (
+_LIVE_OPTION = click.option("--live", is_flag=True, help="Show the run live in the browser.")
+_PAGE_OPTIONS = (
     click.option("--live-port", type=int, metavar="PORT", help="Port of the page; 0: any free one.  [default: 8642]"),
     click.option(
         "--live-host",
         metavar="HOST",
         help="Address of the page; any other than 127.0.0.1 opens it to the network.",
     ),
+    click.option("--open", "live_opens", is_flag=True, help="Open the page in the default browser."),
 )
-_LIVE_OPTION = click.option("--live", is_flag=True, help="Show the run live in the browser.")
 _LIVE_NAMES = {
     "live_port": "--live-port",
     "live_host": "--live-host",
     "live_opens": "--open",
     "live_speed": "--live-speed",
 }
-_OPEN_OPTION = click.option("--open", "live_opens", is_flag=True, help="Open the page in the default browser.")
 _SPEED_OPTION = click.option(
     "--live-speed", type=Number(), metavar="FACTOR", help="Maximum speed, a factor on real time."
 )
@@ -141,20 +141,21 @@ def _make_log_options(**given: Any) -> LogOptions:  # noqa: ANN401
 
 def live_options(command: _Command) -> _Command:
     """Add --live and the options of its page to a command, which gets them as ``live``: LiveOptions, or None."""
-    options = (_LIVE_OPTION, *_HOST_OPTIONS, _OPEN_OPTION, _SPEED_OPTION)
-    return _gather(command, options, "live", ("live", *_LIVE_NAMES), _make_live_options)
+    return _gather_live(command, _LIVE_OPTION, *_PAGE_OPTIONS, _SPEED_OPTION)
 
 
 def robot_live_options(command: _Command) -> _Command:
     """Add the options of `live_options` without the speed, as no robot waits."""
-    options = (_LIVE_OPTION, *_HOST_OPTIONS, _OPEN_OPTION)
-    return _gather(command, options, "live", ("live", *_LIVE_NAMES), _make_live_options)
+    return _gather_live(command, _LIVE_OPTION, *_PAGE_OPTIONS)
 
 
 def host_options(command: _Command) -> _Command:
     """Add the options of the page to a command that serves one anyway, and gets them as ``live``."""
-    options = (*_HOST_OPTIONS, _OPEN_OPTION, _SPEED_OPTION)
-    return _gather(command, options, "live", tuple(_LIVE_NAMES), _make_live_options)
+    return _gather_live(command, *_PAGE_OPTIONS, _SPEED_OPTION)
+
+
+def _gather_live(command: _Command, *options: Callable[..., Any]) -> _Command:
+    return _gather(command, options, "live", ("live", *_LIVE_NAMES), _make_live_options)
 
 
 def _make_live_options(*, live: bool = True, **given: Any) -> LiveOptions | None:  # noqa: ANN401
@@ -254,11 +255,6 @@ def localize_options(command: _Command) -> _Command:
     return add_options(command, _LOCALIZE_OPTIONS)  # type: ignore[return-value]
 
 
-def evaluate_options(command: _Command) -> _Command:
-    """Add the options that determine the result of `gridslam evaluate`."""
-    return add_options(command, _EVALUATE_OPTIONS)  # type: ignore[return-value]
-
-
 _MAP_OPTIONS = (
     click.option("--particles", type=int, help="Greatest number of particles.  [default: the preset's, 30]"),
     seed_option,
@@ -319,16 +315,4 @@ _LOCALIZE_OPTIONS = (
     ),
     repair_option(help="Faults corrected before the log is used, as in gridslam map."),
     log_options,
-)
-_EVALUATE_OPTIONS = (
-    click.option(
-        "--distance",
-        "distance_m",
-        type=Number(0, above=True),
-        default=1.0,
-        show_default=True,
-        metavar="M",
-        help="Path length between the pose pairs of the RPE, m.",
-    ),
-    click.option("--part", "is_part", is_flag=True, help="Score only the relations within the time of TRAJECTORY."),
 )

@@ -2,17 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
-from contextlib import contextmanager, nullcontext
+from collections.abc import Sequence
+from contextlib import nullcontext
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 from gridslam.cli.live import node_page
 from gridslam.cli.output import end_by_signal, stop_if_interrupted
 from gridslam.live.options import LiveOptions
-from gridslam.ros.node.core import NodeCore
-from gridslam.ros.node.session import Localization
-from gridslam.ros.node.transport import RunOptions, ViewerOpener
+from gridslam.ros.node.transport import RunOptions
 
 
 def _make_run_options(title: str, live: LiveOptions | None, options: dict[str, Any]) -> RunOptions:
@@ -20,7 +19,8 @@ def _make_run_options(title: str, live: LiveOptions | None, options: dict[str, A
     options |= {"continue": options.pop("continued"), "set": ";".join(options.pop("assignments"))}
     given = {name: str(value) if isinstance(value, Path) else value for name, value in options.items()}
     given = {name: value for name, value in given.items() if value not in (None, "")}
-    return RunOptions(given, make_viewer_opener(title, live), stop_if_interrupted)
+    open_viewers = nullcontext if live is None else partial(node_page, live, title)
+    return RunOptions(given, open_viewers, stop_if_interrupted)
 
 
 @end_by_signal()
@@ -37,16 +37,3 @@ def ros2(arguments: Sequence[str], live: LiveOptions | None, **options: Any) -> 
     from gridslam.ros.ros2.rclpy_transport import run_rclpy
 
     run_rclpy(arguments, _make_run_options("ROS 2", live, options))
-
-
-def make_viewer_opener(title: str, live: LiveOptions | None) -> ViewerOpener:
-    """Open the page of a node, if one is wanted."""
-
-    @contextmanager
-    def open_viewers(core: NodeCore) -> Iterator[None]:
-        configuration = core.configuration
-        known = configuration.known.grid if isinstance(configuration, Localization) else None
-        with nullcontext() if live is None else node_page(live, title, core, known):
-            yield
-
-    return open_viewers

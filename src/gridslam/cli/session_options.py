@@ -18,6 +18,8 @@ from gridslam.io.log import Log
 
 _OF_THE_SESSION = ("particles", "seed", "preset", "laser", "config", "assignments", "no_loop_closure")
 """Parameters of `gridslam map` that a session has already."""
+_OF_A_CONTINUATION = ("same_place", "elsewhere", "pose", "frozen")
+"""Parameters of `gridslam map` that mean nothing without one."""
 
 
 @final
@@ -51,20 +53,13 @@ class SessionOptions:
         """Raise click.UsageError where options contradict each other."""
         if self.same_place and (self.elsewhere or self.pose is not None):
             raise click.UsageError("--same-place contradicts --elsewhere and --pose")
-        for given, option in (
-            (self.same_place, "--same-place"),
-            (self.elsewhere, "--elsewhere"),
-            (self.pose is not None, "--pose"),
-            (self.frozen, "--frozen"),
-        ):
-            if given and self.continued is None:
-                raise click.UsageError(f"{option} needs --continue")
-        if self.continued is None:
-            return
         for parameter in context.command.params:
-            given = context.get_parameter_source(str(parameter.name)) is ParameterSource.COMMANDLINE
-            if given and parameter.name in _OF_THE_SESSION:
-                option = parameter.opts[0]
+            option = parameter.opts[0]
+            if context.get_parameter_source(str(parameter.name)) is not ParameterSource.COMMANDLINE:
+                continue
+            if self.continued is None and parameter.name in _OF_A_CONTINUATION:
+                raise click.UsageError(f"{option} needs --continue")
+            if self.continued is not None and parameter.name in _OF_THE_SESSION:
                 raise click.UsageError(f"{option} contradicts --continue: the session's own configuration is used")
 
     def open(self, configuration: Configuration, seed: int, threads: int) -> Session | None:

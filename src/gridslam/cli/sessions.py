@@ -13,7 +13,7 @@ from gridslam.api.session import Session
 from gridslam.cli.options import name_option
 from gridslam.cli.output import counted, open_output, open_progress, print_result, warn
 from gridslam.io.maps import write_map
-from gridslam.io.sessions.drives import choose_name
+from gridslam.io.sessions.drives import choose_names
 from gridslam.io.sessions.session_file import read_head
 from gridslam.pipeline import Stopwatch
 
@@ -23,7 +23,7 @@ def show_session(file: Path, out: Path | None, as_json: bool) -> None:
     head = read_head(file)
     document = head.document
     groups = [*([] if document["run"] is None else [_of_run(document["run"])]), *document["pieces"]]
-    names = _name_maps(groups)
+    names = choose_names(drives[0]["name"] for drives in groups)  # as `Session.names` has them
     logs = [log for drives in groups for drive in drives for log in drive["logs"]]
     content = {
         "schema": "gridslam.session_summary/1",
@@ -47,14 +47,6 @@ def show_session(file: Path, out: Path | None, as_json: bool) -> None:
 
 def _of_run(run: dict[str, Any]) -> list[dict[str, Any]]:
     return [*run["earlier"], {name: run[name] for name in ("name", "logs")}]
-
-
-def _name_maps(groups: list[list[dict[str, Any]]]) -> list[str]:
-    """Names of maps by their drives, as `Session.names` has them."""
-    names: list[str] = []
-    for drives in groups:
-        names.append(choose_name(drives[0]["name"], names))
-    return names
 
 
 def _write_maps(session: Session, out: Path) -> None:

@@ -65,7 +65,7 @@ def simulate_to_log(
 ) -> None:
     """Write a simulated log and its true trajectory."""
     truth_path = out.with_name(_truth_name(out))
-    lidar = _lidar(beams, fov_deg, range_max_m, rate_hz)
+    lidar = LidarConfig(beams=beams, field_of_view_rad=math.radians(fov_deg), range_max_m=range_max_m, rate_hz=rate_hz)
     scans = None if duration_s is None else math.floor(min(duration_s, _DAY_S) * rate_hz) + 1
     rng = np.random.default_rng(seed)
     crowd = PeopleConfig(count=people)
@@ -113,10 +113,6 @@ def _truth_name(out: Path) -> str:
     return f"{plain.stem}.truth.tum"
 
 
-def _lidar(beams: int, fov_deg: float, range_max_m: float, rate_hz: float) -> LidarConfig:
-    return LidarConfig(beams=beams, field_of_view_rad=math.radians(fov_deg), range_max_m=range_max_m, rate_hz=rate_hz)
-
-
 def demo(out: Path, seed: int, live: LiveOptions | None, no_history: bool, as_json: bool) -> None:
     """Simulate the world `demo`, map it and compare with the truth."""
     watch = Stopwatch(STARTED_S, 0.0)
@@ -135,7 +131,8 @@ def demo(out: Path, seed: int, live: LiveOptions | None, no_history: bool, as_js
             result = map_with_progress(
                 log, partial(map_log, configuration=configuration, seed=seed), watch, viewers, shown=not as_json
             )
-            truth = _align_truth(simulated.truth, result.trajectory)
+            moved = align(simulated.truth.poses[:, :2], result.trajectory.poses[:, :2])  # of the same scans
+            truth = Trajectory(simulated.truth.stamps_ns, compose(moved, simulated.truth.poses))
             viewers.write_history(folder)
             document = replace(result, source=out / _DEMO_LOG, truth=truth).write(folder)
         errors = score_against_truth(result.trajectory, simulated.truth)
@@ -149,8 +146,3 @@ def demo(out: Path, seed: int, live: LiveOptions | None, no_history: bool, as_js
         ]
         content = {"schema": DEMO_SCHEMA, "run": document, "errors": errors, "odometry_errors": odometry}
         print_result(content, summary, as_json)
-
-
-def _align_truth(truth: Trajectory, estimate: Trajectory) -> Trajectory:
-    """Align the true trajectory rigidly with the estimate; both have the same scans."""
-    return Trajectory(truth.stamps_ns, compose(align(truth.poses[:, :2], estimate.poses[:, :2]), truth.poses))

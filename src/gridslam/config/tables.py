@@ -13,12 +13,12 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import is_dataclass
 from typing import Any, TypeVar
 
-from pydantic import ValidationError
+from pydantic import TypeAdapter, ValidationError
 from pydantic_core import ErrorDetails, to_json
 
 from gridslam.arguments import require_plain
 from gridslam.errors import ConfigurationError, describe_failure
-from gridslam.parameters import Table, adapter, to_table
+from gridslam.parameters import Table, to_table
 
 if sys.version_info >= (3, 11):
     import tomllib
@@ -136,7 +136,7 @@ def replace_parameters(
     try:
         # as JSON, which strictly has tables for parts, but no number for a text; infinities are no numbers there
         text = to_json(table, inf_nan_mode="null", fallback=repr)
-        changed: _Part = adapter(type(part)).validate_json(text, strict=True)
+        changed: _Part = TypeAdapter(type(part)).validate_json(text, strict=True)
     except ValidationError as error:
         unknown = [each["loc"] for each in error.errors() if each["type"] in _UNKNOWN]
         if ignore_unknown and unknown:

@@ -61,8 +61,10 @@ def wrap(angle: float | NDArray[Any]) -> Any:
 
 
 def wrap_headings(poses: FloatArray) -> FloatArray:
-    """Return poses (N, 3) with headings in [-pi, pi)."""
-    return np.column_stack([poses[:, :2], wrap(poses[:, 2])])
+    """Return poses (..., 3), or sums or differences of them, with headings in [-pi, pi)."""
+    wrapped = np.array(poses, np.float64)
+    wrapped[..., 2] = wrap(wrapped[..., 2])
+    return wrapped
 
 
 @checked

@@ -173,13 +173,6 @@ def adjoint(pose: ArrayLike) -> FloatArray:
     return _matrix(c, -s, y, s, c, -x, 0, 0, 1)
 
 
-@checked
-def wrap_poses(poses: FloatArray) -> FloatArray:
-    """Bring theta of poses (..., 3), of sums or of differences of them, to [-pi, pi), in place, and return them."""
-    poses[..., 2] = wrap(poses[..., 2])
-    return poses
-
-
 def rotate_covariances(covariances: FloatArray, angles: ArrayLike) -> FloatArray:
     """Rotate covariances, or information matrices, (..., 3, 3) of x, y and theta into other axes: R C R'.
 

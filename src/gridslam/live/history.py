@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 import zlib
 from array import array
 from bisect import bisect_right
@@ -12,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gridslam.live.protocol import NO_POINTS, Float32Array
-from gridslam.live.scene import Frame
+from gridslam.live.scene import NO_PARTICLES, Frame, finite_or_none
 from gridslam.live.tiles import TILE_BYTES, PackedTiles, TileReplica
 from gridslam.slam.loop_closure.constraints import select_shown_closures
 from gridslam.types import FloatArray, IntArray, StepReport
@@ -26,8 +25,6 @@ CORRECTED = 8
 """Flag of a key scan: a correction of the trajectory followed."""
 SCAN_UNIT_M = 0.01
 """Scans are stored in whole multiples of this length."""
-NO_CLOUD: Float32Array = np.zeros((0, 4), np.float32)
-NO_TILES: NDArray[np.uint8] = np.zeros(0, np.uint8)
 _MOST_MOMENTS = 512
 _FIRST_INTERVAL = 8
 _COMPRESSION = 1  # of zlib: a moment of the Intel log takes 0.15 ms
@@ -67,7 +64,7 @@ class Moment(NamedTuple):
     at: Annotated[NDArray[np.int32], None, 2]
     tiles: Annotated[NDArray[np.uint8], None]
     scan: Annotated[NDArray[np.int16], None, 2]
-    particles: Annotated[Float32Array, None, 4] = NO_CLOUD
+    particles: Annotated[Float32Array, None, 4] = NO_PARTICLES
 
     def unpack(self) -> PackedTiles:
         """Return the tiles that changed."""
@@ -93,7 +90,7 @@ def unpack_tiles(tiles: NDArray[np.uint8], count: int) -> bytes:
 
 def compress_tiles(tiles: NDArray[np.uint8]) -> NDArray[np.uint8]:
     """Return packed levels (K, `TILE_BYTES`), compressed: (B,)."""
-    return np.frombuffer(zlib.compress(tiles.tobytes(), _COMPRESSION), np.uint8) if len(tiles) else NO_TILES
+    return np.frombuffer(zlib.compress(tiles.tobytes(), _COMPRESSION) if len(tiles) else b"", np.uint8)
 
 
 @final
@@ -156,7 +153,7 @@ class History:
         time_s, n_eff, _, flags, particles = self.series[at].tolist()
         return {
             "time_s": time_s,
-            "n_eff": n_eff if math.isfinite(n_eff) else None,
+            "n_eff": finite_or_none(n_eff),
             "lost": bool(int(flags) & LOST),
             "particles": int(particles),
             "keys": at + 1,
@@ -164,7 +161,7 @@ class History:
             "closures": int((self.closures[:, 1] <= at).sum()),
         }
 
-    def make_frame(self, path: Float32Array, particles: Float32Array = NO_CLOUD) -> Frame:
+    def make_frame(self, path: Float32Array, particles: Float32Array = NO_PARTICLES) -> Frame:
         """Return a path (T, 2) and particles (N, 4) with the loop closures between key scans of this path."""
         pairs = select_shown_closures(self.closures[: self.recognized], self.closures[self.recognized :])
         return Frame(path, particles, path[pairs[pairs[:, 1] < len(path)]].reshape(-1, 4))
@@ -183,20 +180,6 @@ class History:
         """Return the index of the last moment at most at a number of key scans; -1 if there is none."""
         return bisect_right(self.moments, keys, key=lambda moment: moment.keys) - 1
 
-    def path(self, index: int) -> Float32Array:
-        """Return the path (T, 2) as it was at a moment, m."""
-        moments = self.moments
-        parts: list[Float32Array] = []
-        end: int | None = None  # of what is needed of a moment's path
-        for k in range(index, -1, -1):
-            moment = moments[k]
-            rows = moment.path if end is None else moment.path[: max(end - moment.first, 0)]
-            parts.append(rows)
-            end = moment.first if end is None else min(end, moment.first)
-            if not end:
-                break
-        return np.concatenate(parts[::-1]) if parts else NO_POINTS
-
 
 @final
 class PastReader:
@@ -211,9 +194,13 @@ class PastReader:
     def __init__(self, history: History) -> None:
         """Start before the first moment."""
         self._history = history
-        self._tiles: PackedTiles = {}
-        self._index = -1
+        self._rewind()
         self.replica = TileReplica()
+
+    def _rewind(self) -> None:
+        self._tiles: PackedTiles = {}
+        self._path = NO_POINTS
+        self._index = -1
 
     def read(self, keys: int) -> tuple[Moment, Frame] | None:
         """Return the run after at most this number of key scans, and update the map; None before the first moment."""
@@ -222,15 +209,14 @@ class PastReader:
         if index < 0:
             return None
         if index < self._index:
-            self._tiles = {}
-            self._index = -1
+            self._rewind()
         for moment in history.moments[self._index + 1 : index + 1]:
             self._tiles.update(moment.unpack())
+            self._path = np.concatenate([self._path[: moment.first], moment.path])
         self._index = index
         self.replica.replace(self._tiles)
         moment = history.moments[index]
-        path = history.path(index)
-        return moment, history.make_frame(path, moment.particles)
+        return moment, history.make_frame(self._path, moment.particles)
 
 
 def round_scan(ends: FloatArray | Float32Array) -> NDArray[np.int16]:

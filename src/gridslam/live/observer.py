@@ -6,13 +6,12 @@ import math
 import time
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator
-from typing import Any, TypeVar, final
+from typing import Any, final
 
-from gridslam.live.recorder import RunRecorder
+from gridslam.live.recorder import Measured, RunRecorder
 from gridslam.live.scene import Scene, finite_or_none
 from gridslam.pipeline import Stopwatch
 from gridslam.slam.grid_fastslam.state import GridFastSlamState
-from gridslam.types import LaserScan, Odometry
 
 VIEWED_PERIOD_S = 0.1
 """Time between two scenes with viewers, s."""
@@ -20,7 +19,6 @@ UNVIEWED_PERIOD_S = 1.0
 """Time between two scenes without viewers, s."""
 
 _RATE_SCENES = 12
-_Measured = TypeVar("_Measured", bound="tuple[Odometry | None, LaserScan]")
 _MAX_WAIT_S = 0.25  # longer waits are split, so that signals are processed and the page stays fresh
 _MAX_BEHIND_S = 1.0  # of a filter that is slower than the speed, which is not made up for
 
@@ -67,7 +65,7 @@ class LiveObserver:
         self._latest: tuple[Any, Any] | None = None  # report and state that are not shown yet
         self._anchor: tuple[float, int] | None = None  # a time and the corresponding stamp
 
-    def pace(self, source: Iterable[_Measured], stopwatch: Stopwatch | None = None) -> Iterator[_Measured]:
+    def pace(self, source: Iterable[Measured], stopwatch: Stopwatch | None = None) -> Iterator[Measured]:
         """Start a new session, and yield its measurements at the given speed at most.
 
         The stopwatch does not count the waiting time.
@@ -75,7 +73,7 @@ class LiveObserver:
         self._reset()
         return self.recorder.follow(self._delay(source, stopwatch or Stopwatch()))
 
-    def _delay(self, source: Iterable[_Measured], watch: Stopwatch) -> Iterator[_Measured]:
+    def _delay(self, source: Iterable[Measured], watch: Stopwatch) -> Iterator[Measured]:
         for measurement in source:
             watch.lap("read")
             if self.speed is not None:

@@ -7,19 +7,18 @@ import time
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from pathlib import Path
-from typing import Any, TypeVar, final
+from typing import Any, final
 
 from gridslam.errors import InputError
 from gridslam.live.observer import LiveObserver
 from gridslam.live.options import LiveOptions
-from gridslam.live.recorder import RunRecorder
+from gridslam.live.recorder import Measured, RunRecorder
 from gridslam.live.replay import Replay
 from gridslam.live.run import LiveRun
 from gridslam.live.server import PageServer
 from gridslam.pipeline import Stopwatch
-from gridslam.types import FloatArray, LaserScan, OccupancyGrid, Odometry
+from gridslam.types import FloatArray, OccupancyGrid
 
-_Measured = TypeVar("_Measured", bound="tuple[Odometry | None, LaserScan]")
 _RECONNECT_S = 3.0
 
 
@@ -86,12 +85,12 @@ class LivePage:
         """Number of viewers."""
         return len(self._run.viewers)
 
-    def pace(self, source: Iterable[_Measured], stopwatch: Stopwatch | None = None) -> Iterator[_Measured]:
+    def pace(self, source: Iterable[Measured], stopwatch: Stopwatch | None = None) -> Iterator[Measured]:
         """Do as `follow`, and show then that the run goes over to its next stage."""
         yield from self.follow(source, stopwatch)
         self._run.stage = self._last_stage
 
-    def follow(self, source: Iterable[_Measured], stopwatch: Stopwatch | None = None) -> Iterator[_Measured]:
+    def follow(self, source: Iterable[Measured], stopwatch: Stopwatch | None = None) -> Iterator[Measured]:
         """Reset the page, and yield the measurements of a session at the speed of the options at most.
 
         The stopwatch does not count the waiting time.

@@ -23,7 +23,8 @@ from gridslam.viz.cloud import MOST_SHOWN, select_representatives
 if TYPE_CHECKING:
     from gridslam.localization import LocalizationReport, MonteCarloState
 
-_Measured = TypeVar("_Measured", bound="tuple[Odometry | None, LaserScan]")
+Measured = TypeVar("Measured", bound="tuple[Odometry | None, LaserScan]")
+"""A measurement, which passes as it is."""
 _MOST_PARTICLES = 300  # of a moment
 _CLOSEST_M = 0.05
 
@@ -69,7 +70,7 @@ class RunRecorder:
         self._tracked = array("q")  # of the first `_seen` constraints
         self._seen = 0
 
-    def follow(self, source: Iterable[_Measured]) -> Iterator[_Measured]:
+    def follow(self, source: Iterable[Measured]) -> Iterator[Measured]:
         """Start a new session, yield its measurements, and note their scans."""
         self.reset()
         for measurement in source:

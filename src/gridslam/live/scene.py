@@ -20,7 +20,6 @@ _MAX_TILES = 1024
 MOST_MESSAGES = 100
 """Of a run that are shown: the newest ones."""
 NO_PARTICLES: Float32Array = np.zeros((0, 4), np.float32)
-NO_CLOSURES: Float32Array = np.zeros((0, 4), np.float32)
 NO_SERIES: Float32Array = np.zeros((0, 5), np.float32)
 
 
@@ -40,7 +39,7 @@ class Frame(NamedTuple):
 
     path: Float32Array = NO_POINTS
     particles: Float32Array = NO_PARTICLES
-    closures: Float32Array = NO_CLOSURES
+    closures: Float32Array = np.zeros((0, 4), np.float32)
 
 
 @final
@@ -141,7 +140,7 @@ class SentState:
             ("plan", scene.plan),
             ("truth", scene.truth),
         ):
-            if name not in self._arrays or not _equal(self._arrays[name], array):
+            if name not in self._arrays or not np.array_equal(self._arrays[name], array, equal_nan=True):
                 self._arrays[name] = arrays[name] = array
         return encode(header, arrays) if header or arrays else None
 
@@ -173,7 +172,3 @@ def count_common(a: FloatArray | Float32Array, b: FloatArray | Float32Array) -> 
         return count
     same = ((a[:count] == b[:count]) | (np.isnan(a[:count]) & np.isnan(b[:count]))).all(axis=1)
     return count if same.all() else int(np.argmin(same))
-
-
-def _equal(a: NDArray[Any], b: NDArray[Any]) -> bool:
-    return a is b or np.array_equal(a, b, equal_nan=a.dtype.kind == "f")

@@ -7,7 +7,7 @@ import errno
 import json
 import socket
 import threading
-from collections.abc import Awaitable, Callable, Mapping
+from collections.abc import Mapping
 from contextlib import suppress
 from pathlib import Path
 from typing import Any, Protocol, final
@@ -15,10 +15,7 @@ from typing import Any, Protocol, final
 import uvicorn
 from starlette.applications import Starlette
 from starlette.middleware import Middleware
-from starlette.middleware.base import BaseHTTPMiddleware
 from starlette.middleware.trustedhost import TrustedHostMiddleware
-from starlette.requests import Request
-from starlette.responses import Response
 from starlette.routing import Mount, WebSocketRoute
 from starlette.staticfiles import StaticFiles
 from starlette.websockets import WebSocket, WebSocketDisconnect
@@ -99,6 +96,7 @@ class PageServer:
             lifespan="off",
             ws_per_message_deflate=False,
             ws_max_size=2**16,
+            headers=[*_HEADERS.items()],
             timeout_graceful_shutdown=1,
         )
         self._server = uvicorn.Server(config)
@@ -161,11 +159,6 @@ def _ignore_connections(loop: asyncio.AbstractEventLoop, context: dict[str, Any]
 def _make_application(content: PageContent, names: list[str]) -> Starlette:
     """Return the page of a content, for requests to a host of these names, against DNS rebinding."""
 
-    async def add_headers(request: Request, proceed: Callable[[Request], Awaitable[Response]]) -> Response:
-        response = await proceed(request)
-        response.headers.update(_HEADERS)
-        return response
-
     async def answer(websocket: WebSocket) -> None:
         await websocket.accept()
         origin = websocket.headers.get("origin")
@@ -176,10 +169,7 @@ def _make_application(content: PageContent, names: list[str]) -> Starlette:
 
     return Starlette(
         routes=[WebSocketRoute("/socket", answer), Mount("/", StaticFiles(directory=_HERE, html=True))],
-        middleware=[
-            Middleware(TrustedHostMiddleware, allowed_hosts=names, www_redirect=False),
-            Middleware(BaseHTTPMiddleware, dispatch=add_headers),
-        ],
+        middleware=[Middleware(TrustedHostMiddleware, allowed_hosts=names, www_redirect=False)],
     )
 
 

@@ -77,17 +77,11 @@ class TileChangeDetector:
 
 def _align(*tables: tuple[Int32Array, tuple[int, int]]) -> tuple[Int32Array, Int32Array, IntArray]:
     """Return two tables of ids over the same tiles, and the row and column of their corner."""
-    (one, corner), (other, at) = tables
-    if corner == at and one.shape == other.shape:
-        return one, other, np.array(corner)
-    corners = np.array([corner, at])
-    origin = corners.min(axis=0)
-    end = (corners + [table.shape for table in (one, other)]).max(axis=0)
-    wide: list[Int32Array] = []
-    for table, (row, column) in ((one, corners[0] - origin), (other, corners[1] - origin)):
-        wide.append(np.zeros(end - origin, np.int32))
-        wide[-1][row : row + table.shape[0], column : column + table.shape[1]] = table
-    return wide[0], wide[1], origin
+    begins = np.array([corner for _, corner in tables])
+    ends = begins + [ids.shape for ids, _ in tables]
+    margins = np.stack([begins - begins.min(axis=0), ends.max(axis=0) - ends], axis=2)
+    one, other = (np.pad(ids, around) for (ids, _), around in zip(tables, margins, strict=True))
+    return one, other, begins.min(axis=0)
 
 
 @final
@@ -155,17 +149,13 @@ def tile_offset(grid: OccupancyGrid) -> tuple[float, float]:
 
 def split_into_tiles(grid: OccupancyGrid) -> TileChanges:
     """Return the known tiles of a rectangular map, whose cells are moved to the nearest cells of the tiles' grid."""
-    height, width = grid.known.shape
     column, row = (round(corner / grid.resolution_m) for corner in grid.origin)
-    first = row // TILE, column // TILE
-    rows = -(-(row + height) // TILE) - first[0]
-    columns = -(-(column + width) // TILE) - first[1]
-    cells = np.full((rows * TILE, columns * TILE), UNKNOWN, np.int16)
     steps = np.clip(np.rint(grid.log_odds / np.float32(LOG_ODDS_UNIT)), UNKNOWN + 1, -UNKNOWN - 1)
-    top = row - first[0] * TILE
-    left = column - first[1] * TILE
-    cells[top : top + height, left : left + width] = np.where(grid.known, steps, UNKNOWN).astype(np.int16)
-    blocks = cells.reshape(rows, TILE, columns, TILE).swapaxes(1, 2)
+    known = np.where(grid.known, steps, UNKNOWN).astype(np.int16)
+    margins = [(first % TILE, -(first + side) % TILE) for first, side in zip((row, column), known.shape, strict=True)]
+    cells = np.pad(known, margins, constant_values=UNKNOWN)
+    height, width = cells.shape
+    blocks = cells.reshape(height // TILE, TILE, width // TILE, TILE).swapaxes(1, 2)
     used = np.nonzero((blocks != UNKNOWN).any(axis=(2, 3)))
-    at = np.stack(used, axis=1).astype(np.int32) + np.array(first, np.int32)
+    at = np.stack(used, axis=1).astype(np.int32) + np.array([row // TILE, column // TILE], np.int32)
     return TileChanges(at, blocks[used])

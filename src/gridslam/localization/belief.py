@@ -8,7 +8,8 @@ from typing import Annotated, Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from gridslam.geometry.se2 import compose, lever_arm_jacobian, wrap_poses
+from gridslam.geometry.angles import wrap_headings
+from gridslam.geometry.se2 import compose, lever_arm_jacobian
 from gridslam.localization.known_map import PoseLikelihood
 from gridslam.types import FloatArray, IntArray
 
@@ -59,7 +60,7 @@ def estimate_pose(poses: FloatArray, weights: FloatArray) -> PoseEstimate:
     away = _relative_coordinates(places, centre)
     for _ in range(_SHIFTS):
         shares = np.where(near, weights, 0.0)
-        centre = wrap_poses(centre + np.einsum("in,n->i", away, shares) / shares.sum())
+        centre = wrap_headings(centre + np.einsum("in,n->i", away, shares) / shares.sum())
         away = _relative_coordinates(places, centre)
         near = _is_in_cluster(away)
     mass = float(weights[near].sum())
@@ -126,7 +127,7 @@ class PoseHypotheses(NamedTuple):
 
     def spread_about(self, pose: FloatArray) -> FloatArray:
         """Mean square (3, 3) of how far they are from a pose (3,), each by its odds and as wide as half a cluster."""
-        away = wrap_poses(self.poses - pose)
+        away = wrap_headings(self.poses - pose)
         shares = np.exp(self.log_odds) / max(self.odds, 1e-300)
         return np.asarray((shares * away.T) @ away + CLUSTER_COVARIANCE)
 
@@ -225,7 +226,7 @@ def sample_hypotheses(
         return np.empty((0, 3)), np.empty(0)
     odds = np.exp(hypotheses.log_odds[better])
     poses = hypotheses.poses[better][rng.choice(len(odds), size=count, p=odds / odds.sum())]
-    poses = wrap_poses(poses + rng.normal(size=poses.shape) * JITTER)
+    poses = wrap_headings(poses + rng.normal(size=poses.shape) * JITTER)
     return poses, np.full(count, math.log(odds.sum() / (1 + odds.sum()) / count))
 
 
@@ -253,7 +254,7 @@ def refine_places(places: FloatArray, agree: PoseLikelihood, rng: np.random.Gene
     noise = rng.standard_normal((len(places), _JITTER_SAMPLES, 3))
     noise *= JITTER
     noise[:, 0] = 0
-    tried = wrap_poses(places[:, None] + noise)
+    tried = wrap_headings(places[:, None] + noise)
     shares = agree(tried.reshape(-1, 3)).reshape(len(places), _JITTER_SAMPLES)
     best = shares.argmax(axis=1)[:, None]
     return np.take_along_axis(tried, best[..., None], 1)[:, 0], np.take_along_axis(shares, best, 1)[:, 0]

@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike
 
 from gridslam.arguments import freeze
 from gridslam.errors import ArgumentError
-from gridslam.geometry.se2 import wrap_poses
+from gridslam.geometry.angles import wrap_headings
 from gridslam.models.association import Association, KnownCorrespondence
 from gridslam.models.landmark import LandmarkModel, LandmarkObservations, RangeBearing
 from gridslam.models.systematic_errors import ERRORS, NO_ERRORS, SystematicErrors, linearize
@@ -216,7 +216,7 @@ class EkfLocalization:
         L = np.linalg.cholesky(S.reshape(2 * count, 2 * count))
         W = np.linalg.solve(L, H @ P)
         whitened = np.linalg.solve(L, residuals)
-        mean = wrap_poses(belief.mean + whitened @ W)
+        mean = wrap_headings(belief.mean + whitened @ W)
         log_likelihood = -0.5 * float(whitened @ whitened) - count * math.log(2 * math.pi)
         log_likelihood -= float(np.log(np.diagonal(L)).sum())
         return PoseGaussian(mean, P - W.T @ W), log_likelihood

@@ -15,7 +15,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from gridslam.checked import checked
-from gridslam.geometry.se2 import between, compose, log, wrap_poses
+from gridslam.geometry.angles import wrap_headings
+from gridslam.geometry.se2 import between, compose, log
 from gridslam.localization.belief import (
     CLUSTER_COVARIANCE,
     PoseEstimate,
@@ -343,7 +344,7 @@ class MonteCarloLocalization:
         others = zip(found.information[1:], found.score[1:].tolist(), strict=True)
         kept = [True, *(degenerate_direction(*other, matcher.min_information) is None for other in others)]
         poses = found.poses[kept]
-        away = wrap_poses(poses - pose)
+        away = wrap_headings(poses - pose)
         agreement = matcher.cauchy_m**2 * found.score[kept]  # minus the sum of w d^2, to a constant
         cost = ((away @ prior) * away).sum(axis=1) - agreement
         return np.asarray(poses[cost.argmin()])

@@ -7,7 +7,7 @@ from typing import NamedTuple, final
 
 import numpy as np
 
-from gridslam.geometry.se2 import wrap_poses
+from gridslam.geometry.angles import wrap_headings
 from gridslam.geometry.single_pose import Pose, between
 from gridslam.mapping.occupancy_grid_mapping import OccupancyGridMapping
 from gridslam.parameters import bounded, parameters
@@ -99,7 +99,7 @@ class OdometryCheck:
         self, found: FloatArray, measured: FloatArray, motion: Callable[[FloatArray], MotionSampler]
     ) -> bool:
         """Return whether tracked motion (3,) is improbable given the odometry."""
-        apart = wrap_poses(found - measured)
+        apart = wrap_headings(found - measured)
         if apart @ (apart / _TRACKED_VARIANCES) <= self.gate:  # so it is the more with the noise of the odometry
             return False
         noise = motion(measured).moments(np.zeros((1, 3)))[1][0]

@@ -8,7 +8,7 @@ from typing import Annotated, NamedTuple, final
 import numpy as np
 
 from gridslam.arguments import SHARE
-from gridslam.geometry.se2 import wrap_poses
+from gridslam.geometry.angles import wrap_headings
 from gridslam.localization.belief import JITTER
 from gridslam.localization.known_map import KnownMap, PoseLikelihood
 from gridslam.models.endpoint import CauchyEndPoint
@@ -110,6 +110,6 @@ def propose_poses(
     ends = np.cumsum(np.exp(log_q - log_q.max()))
     chosen = np.minimum(ends.searchsorted(rng.random(count) * ends[-1], side="right"), len(poses) - 1)
     log_mean_q = math.log(ends[-1] / len(poses)) + log_q.max()
-    moved = wrap_poses(poses[chosen] + rng.normal(size=(count, 3)) * JITTER)
+    moved = wrap_headings(poses[chosen] + rng.normal(size=(count, 3)) * JITTER)
     poses = np.where(known_map.is_free(moved)[:, None], moved, poses[chosen])  # none out of the free space
     return poses, log_likelihood(poses) + log_mean_q - log_q[chosen] - math.log(count)

@@ -8,7 +8,7 @@ from numpy.typing import ArrayLike
 from gridslam.arguments import describe, freeze, require_generator, require_instance
 from gridslam.checked import checked
 from gridslam.errors import ArgumentError
-from gridslam.geometry.se2 import wrap_poses
+from gridslam.geometry.angles import wrap_headings
 from gridslam.types import FloatArray
 
 _MOST = 1 << 30
@@ -40,7 +40,7 @@ def repeat_pose(count: int, pose: ArrayLike) -> FloatArray:
     mean = freeze(pose, np.float64, (3,), "pose").copy()
     if not np.isfinite(mean).all():
         raise ArgumentError("pose", "finite x, y, theta", mean.tolist())
-    return np.tile(wrap_poses(mean), (count, 1))
+    return np.tile(wrap_headings(mean), (count, 1))
 
 
 def copy_poses(particles: object, least: int = 0, expected: str = "finite poses of shape (N, 3)") -> FloatArray:
@@ -51,7 +51,7 @@ def copy_poses(particles: object, least: int = 0, expected: str = "finite poses 
         poses = np.empty(0)
     if poses.ndim != 2 or poses.shape[1] != 3 or len(poses) < least or not np.isfinite(poses).all():
         raise ArgumentError("particles", expected, describe(particles))
-    return wrap_poses(poses)
+    return wrap_headings(poses)
 
 
 @checked
@@ -87,4 +87,4 @@ def sample_gaussian(count: int, pose: ArrayLike, covariance: ArrayLike, rng: np.
     variances, axes = np.linalg.eigh(matrix)
     if np.abs(matrix - matrix.T).max() > rounding or variances[0] < -rounding:
         raise ArgumentError("covariance", "a symmetric matrix without negative eigenvalue", matrix.tolist())
-    return wrap_poses(poses + (rng.standard_normal((count, 3)) * np.sqrt(np.maximum(variances, 0.0))) @ axes.T)
+    return wrap_headings(poses + (rng.standard_normal((count, 3)) * np.sqrt(np.maximum(variances, 0.0))) @ axes.T)

@@ -7,7 +7,7 @@ import math
 import numpy as np
 
 from gridslam.checked import checked
-from gridslam.geometry.se2 import wrap_poses
+from gridslam.geometry.angles import wrap_headings
 from gridslam.types import FloatArray, IntArray
 
 _BIN = np.array([0.5, 0.5, math.radians(10)])  # m, m, rad, as AMCL has them: so far apart are two hypotheses
@@ -36,6 +36,6 @@ def count_needed(poses: FloatArray, about: FloatArray) -> int:
 
     Few where they agree on where the robot is, 0 for a single bin, and many before a loop closes.
     """
-    away = wrap_poses(poses - about)
+    away = wrap_headings(poses - about)
     occupied = len(set(map(tuple, np.round(away / _BIN).tolist())))
     return int(kld_bound(np.array(occupied), _ERROR))

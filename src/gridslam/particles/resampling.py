@@ -21,7 +21,7 @@ import numpy as np
 from gridslam.arguments import Limits, require_generator
 from gridslam.checked import checked
 from gridslam.errors import ArgumentError
-from gridslam.geometry.se2 import wrap_poses
+from gridslam.geometry.angles import wrap_headings
 from gridslam.parameters import parameters
 from gridslam.types import FloatArray, IntArray
 
@@ -80,7 +80,7 @@ def entropy(log_weights: FloatArray) -> float:
 
 def compute_spread(poses: FloatArray, log_weights: FloatArray, best: int) -> FloatArray:
     """Return the weighted covariance (3, 3) of particles (N, 3), normalized log weights (N,), about the best one."""
-    away = wrap_poses(poses - poses[best])
+    away = wrap_headings(poses - poses[best])
     return np.asarray((np.exp(log_weights) * away.T) @ away)
 
 

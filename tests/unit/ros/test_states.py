@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 from websockets.sync.client import connect
 
-from gridslam.cli.ros import make_viewer_opener
+from gridslam.cli.live import node_page
 from gridslam.live.options import LiveOptions
 from gridslam.localization import KnownMap, MonteCarloConfiguration
 from gridslam.messages import Level, Messages
@@ -193,7 +193,7 @@ def test_page_log_and_diagnostics_report_the_same(name, tmp_path, monkeypatch, c
     fault = FAULTS[name]
     live = Live(tmp_path, monkeypatch, fault.task)
     core, outputs, seen = live.core, live.outputs, live.client
-    with make_viewer_opener("robot", LiveOptions(port=0))(core):
+    with node_page(LiveOptions(port=0), "robot", core):
         url = capsys.readouterr().err.split("live at ")[1].split()[0]
         core.start()
         core.await_input("/scan", "for base_link in odom")

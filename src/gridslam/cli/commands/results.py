@@ -5,7 +5,7 @@ from __future__ import annotations
 import click
 
 from gridslam.cli.option_types import PATH, Number
-from gridslam.cli.options import calls, evaluate_options, host_options, json_option
+from gridslam.cli.options import calls, host_options, json_option
 
 
 @click.command("view")
@@ -22,7 +22,16 @@ def view_command() -> None:
 @click.command("evaluate")
 @click.argument("trajectory", type=PATH)
 @click.argument("reference", type=PATH)
-@evaluate_options
+@click.option(
+    "--distance",
+    "distance_m",
+    type=Number(0, above=True),
+    default=1.0,
+    show_default=True,
+    metavar="M",
+    help="Path length between the pose pairs of the RPE, m.",
+)
+@click.option("--part", "is_part", is_flag=True, help="Score only the relations within the time of TRAJECTORY.")
 @json_option
 @calls("evaluate:evaluate")
 def evaluate_command() -> None:

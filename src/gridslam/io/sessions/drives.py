@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from itertools import chain, count
 from typing import final
@@ -163,3 +163,11 @@ def choose_name(name: str, others: Sequence[str]) -> str:
     """Give a name that no other drive has: `name`, or with the first number from 2 on that is free."""
     names = chain([name], (f"{name}_{number}" for number in count(2)))
     return next(free for free in names if free not in others)
+
+
+def choose_names(names: Iterable[str]) -> list[str]:
+    """Give each of several names as `choose_name` does: one that is repeated gets a number."""
+    chosen: list[str] = []
+    for name in names:
+        chosen.append(choose_name(name, chosen))
+    return chosen

@@ -25,13 +25,12 @@ TOPICS: Final = {
 }
 """Published topics and their types; ~ is the node's own name."""
 
-LOCALIZATION_TOPICS: Final = {
+ALL_TOPICS: Final = {
+    **TOPICS,
     "amcl_pose": "geometry_msgs/PoseWithCovarianceStamped",
     "particle_cloud": "nav2_msgs/ParticleCloud",
 }
-"""Published by a node that localizes, with the names and types of nav2."""
-
-ALL_TOPICS: Final = {**TOPICS, **LOCALIZATION_TOPICS}
+"""Published by a node that localizes: two more, with the names and types of nav2."""
 
 LATCHED: Final = ("map", "map_metadata", "~/entropy", "amcl_pose")
 """Topics whose last message late subscribers receive."""

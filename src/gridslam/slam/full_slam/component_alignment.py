@@ -9,7 +9,8 @@ from typing import NamedTuple, final
 
 import numpy as np
 
-from gridslam.geometry.se2 import between, compose, transform_points, wrap_poses
+from gridslam.geometry.angles import wrap_headings
+from gridslam.geometry.se2 import between, compose, transform_points
 from gridslam.grid.tiles import TileMaps
 from gridslam.mapping.occupancy_grid_mapping import OccupancyGridMapping
 from gridslam.matching.branch_and_bound import thin_points
@@ -219,7 +220,7 @@ class WantedSearch(NamedTuple):
         guess = compose(graph.poses[self.seen_from], self.expected)
         reach_rad = SEARCH_SIGMAS * math.sqrt(self.covariance[2, 2]) + MARGIN_RAD
         return [
-            hit._replace(squared_sigmas=squared_sigmas(self.covariance, wrap_poses(hit.pose - guess)))
+            hit._replace(squared_sigmas=squared_sigmas(self.covariance, wrap_headings(hit.pose - guess)))
             for hit in match_submap(search, self.submap, guess, self.reach_m, reach_rad)
         ]
 

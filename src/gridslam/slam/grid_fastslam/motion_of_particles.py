@@ -7,7 +7,7 @@ from typing import final
 
 import numpy as np
 
-from gridslam.geometry.se2 import wrap_poses
+from gridslam.geometry.angles import wrap_headings
 from gridslam.grid.tiles import TileMaps
 from gridslam.types import FloatArray, MotionSampler, ScanLikelihood
 
@@ -49,7 +49,7 @@ class SearchingMotion:
         if not len(searching):
             return found
         means = means[searching]
-        away = wrap_poses(np.stack([self.motion(poses[searching], rng) for _ in range(_DRAWS)]) - means)
+        away = wrap_headings(np.stack([self.motion(poses[searching], rng) for _ in range(_DRAWS)]) - means)
         drawn = means + _WIDER * away
         rows = np.tile(searching.astype(np.int32), _DRAWS)
         likelihoods = self.likelihood(self.maps, rows, drawn.reshape(-1, 3)).reshape(_DRAWS, -1)

@@ -13,7 +13,8 @@ from typing import Annotated, Protocol, final
 import numpy as np
 
 from gridslam.checked import checked
-from gridslam.geometry.se2 import compose, rotate_covariances, wrap_poses
+from gridslam.geometry.angles import wrap_headings
+from gridslam.geometry.se2 import compose, rotate_covariances
 from gridslam.geometry.single_pose import as_pose, is_within
 from gridslam.grid.tiles import TileMaps
 from gridslam.matching.gauss_newton import EVALUATE_ONLY, GaussNewton
@@ -178,8 +179,8 @@ class ImprovedProposal:
         information = match.information / self.beam_sigma_m**2 + prior
         factor = np.linalg.cholesky(information)
         noise = np.linalg.solve(factor.transpose(0, 2, 1), rng.standard_normal((len(rows), 3, 1)))[..., 0]
-        drawn = wrap_poses(match.poses + noise)
-        away = wrap_poses(match.poses - means)
+        drawn = wrap_headings(match.poses + noise)
+        away = wrap_headings(match.poses - means)
         log_prior = -0.5 * np.einsum("ni,nij,nj->n", away, prior, away) + 0.5 * np.linalg.slogdet(prior)[1]
         log_volume = -np.log(np.diagonal(factor, axis1=1, axis2=2)).sum(axis=1)
         return ProposedPoses(drawn, weigh(maps, rows, match.poses) + log_prior + log_volume, match)

@@ -11,7 +11,8 @@ from typing import Annotated, final
 
 import numpy as np
 
-from gridslam.geometry.se2 import compose, compose_jacobians, wrap_poses
+from gridslam.geometry.angles import wrap_headings
+from gridslam.geometry.se2 import compose, compose_jacobians
 from gridslam.geometry.single_pose import Pose
 from gridslam.types import FloatArray, MotionSampler
 
@@ -42,9 +43,9 @@ class SmoothedPose:
         _, (noise,) = motion.moments(self.pose[None])
         by_pose, _ = compose_jacobians(self.pose, increment)
         covariance = by_pose @ self.covariance @ by_pose.T + noise
-        missed = wrap_poses(matched - predicted)
+        missed = wrap_headings(matched - predicted)
         weighed = np.linalg.solve(covariance + _MATCH, np.column_stack([missed, covariance]))
         if missed @ weighed[:, 0] > _MOST_SQUARED:
             return SmoothedPose(matched, _MATCH)
-        pose = wrap_poses(predicted + covariance @ weighed[:, 0])
+        pose = wrap_headings(predicted + covariance @ weighed[:, 0])
         return SmoothedPose(pose, covariance - covariance @ weighed[:, 1:])

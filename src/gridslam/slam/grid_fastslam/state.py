@@ -14,7 +14,7 @@ from gridslam import serialization
 from gridslam.arguments import COUNT, Limits, Size, index_of
 from gridslam.checked import checked
 from gridslam.errors import ArgumentError
-from gridslam.geometry.se2 import wrap_poses
+from gridslam.geometry.angles import wrap_headings
 from gridslam.geometry.single_pose import Pose
 from gridslam.grid.tiles import TileMaps
 from gridslam.mapping.occupancy_grid_mapping import OccupancyGridMapping
@@ -213,7 +213,7 @@ class GridFastSlamState(OwnedState):
 
         Where the best one has no child, it was lost by chance: the one nearest to it goes on as the best.
         """
-        away = wrap_poses(self.poses[parents] - self.poses[self.best])
+        away = wrap_headings(self.poses[parents] - self.poses[self.best])
         self.best = int(np.square(away).sum(axis=1).argmin())
         self.poses = self.poses[parents]
         self.maps.select(parents)

@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 
-from gridslam.geometry.se2 import wrap_poses
+from gridslam.geometry.angles import wrap_headings
 from gridslam.types import FloatArray, IntArray
 
 
@@ -75,4 +75,4 @@ def draw_poses(means: FloatArray, covariances: FloatArray, rng: np.random.Genera
         column = np.divide(left[i], sigma, out=np.zeros_like(left[i]), where=sigma > 0)  # no variance, no covariance
         drawn += number * column
         left -= column[:, None] * column
-    return wrap_poses(np.ascontiguousarray(drawn.T))
+    return wrap_headings(np.ascontiguousarray(drawn.T))

@@ -8,7 +8,7 @@ from typing import final
 import numpy as np
 from numpy.typing import NDArray
 
-from gridslam.geometry.se2 import wrap_poses
+from gridslam.geometry.angles import wrap_headings
 from gridslam.grid.tiles import TileMaps
 from gridslam.kernels import TILE
 from gridslam.matching.branch_and_bound import thin_points
@@ -59,7 +59,7 @@ class MapSearch:
         pairs = match_nearest_features(self._features, submap.features, _NEAREST)
         poses = poses_of_pairs(self._features, submap.features, pairs, _MOST_COMPARED)
         if near is not None:
-            away = np.abs(wrap_poses(poses - near))
+            away = np.abs(wrap_headings(poses - near))
             poses = poses[(np.hypot(away[:, 0], away[:, 1]) < near_m) & (away[:, 2] < near_rad)]
         if not len(poses):
             return poses, np.empty((0, 2))
@@ -86,6 +86,6 @@ def _select_distinct(poses: FloatArray, weights: NDArray[np.float32]) -> FloatAr
     chosen: list[FloatArray] = []
     while len(left) and len(chosen) < _REFINED:
         chosen.append(left[0])
-        away = np.abs(wrap_poses(left - left[0]))
+        away = np.abs(wrap_headings(left - left[0]))
         left = left[(np.hypot(away[:, 0], away[:, 1]) >= _DISTINCT_M) | (away[:, 2] >= _DISTINCT_RAD)]
     return np.array(chosen)

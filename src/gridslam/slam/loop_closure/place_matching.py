@@ -6,8 +6,8 @@ import math
 
 import numpy as np
 
-from gridslam.geometry.angles import wrap
-from gridslam.geometry.se2 import between, compose, wrap_poses
+from gridslam.geometry.angles import wrap, wrap_headings
+from gridslam.geometry.se2 import between, compose
 from gridslam.geometry.single_pose import as_pose, is_within
 from gridslam.grid.tiles import TileMaps
 from gridslam.mapping.occupancy_grid_mapping import OccupancyGridMapping
@@ -135,7 +135,7 @@ class PlaceMatching:
             anchor = anchor_of(submap)
             (expected,), covariances = graph.locate(newest, np.array([anchor]))
             here = compose(graph.poses[anchor], np.stack([expected, constraint.measurement]))
-            innovation = wrap_poses(here[1] - here[0])
+            innovation = wrap_headings(here[1] - here[0])
             is_far = math.hypot(innovation[0], innovation[1]) > self.filter_max_correction_m
             if is_far or squared_sigmas(covariances[0], innovation) >= _GATE_SIGMAS**2:
                 return

@@ -8,7 +8,8 @@ from typing import final
 import numpy as np
 from numpy.typing import NDArray
 
-from gridslam.geometry.se2 import between, compose, rotate_covariances, wrap_poses
+from gridslam.geometry.angles import wrap_headings
+from gridslam.geometry.se2 import between, compose, rotate_covariances
 from gridslam.mapping.occupancy_grid_mapping import OccupancyGridMapping
 from gridslam.parameters import bounded, parameters
 from gridslam.slam.loop_closure.constraints import Constraint, ConstraintSource, key_scan_pairs
@@ -265,7 +266,7 @@ def drift_distance(graph: KeyGraph, older: int, key: int, pose: FloatArray) -> f
     """Squared Mahalanobis distance of a key scan's pose (3,), seen from an older one, from where it is expected."""
     (expected,), (covariance,) = graph.locate(key, np.array([older]))
     here, there = compose(graph.poses[older], np.stack([expected, pose]))
-    return squared_sigmas(covariance, wrap_poses(there - here))
+    return squared_sigmas(covariance, wrap_headings(there - here))
 
 
 def _clique_sizes(consistent: NDArray[np.bool_]) -> IntArray:
