@@ -34,6 +34,7 @@ from gridslam.scan import LaserScan
 from gridslam.sim import LidarConfig, OdometryNoise, RobotConfig, SimulatedLog, make_world, simulate
 from gridslam.slam.full_slam.surface_adjustment import LINE_REACH_M, select_pairs, share_information
 from gridslam.slam.grid_fastslam.smoothed_pose import SmoothedPose
+from gridslam.tracking.recent_scans import RecentScans
 from gridslam.tracking.tracker import Tracker
 from gridslam.types import FloatArray, Trajectory
 from measure import make_parser, write_document
@@ -117,7 +118,7 @@ def judge(world: str, seed: int, *, with_best: bool = True) -> dict[str, list[fl
     """ATE (m, degrees) and RPE (m, degrees) of each stage of one drive; the best particle's takes a run of its own."""
     log = simulated_drive(world, seed)
     reports, full = map_drive(log.measurements, Configuration(), 0)
-    with patch("gridslam.tracking.tracker.match_to_surfaces", lambda recent, ends, found: found.pose):
+    with patch.object(RecentScans, "match", lambda recent, ends, guess: guess):
         cells = track(log.measurements, Tracker())
     stages = {
         "odometry": np.array([odometry.pose for odometry, _ in log.measurements if odometry is not None]),

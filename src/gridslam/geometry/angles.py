@@ -60,6 +60,7 @@ def wrap(angle: float | NDArray[Any]) -> Any:
     return remainder - math.tau * turns
 
 
+@checked
 def wrap_headings(poses: FloatArray) -> FloatArray:
     """Return poses (..., 3), or sums or differences of them, with headings in [-pi, pi)."""
     wrapped = np.array(poses, np.float64)

@@ -88,17 +88,18 @@ class GaussNewton:
         self, maps: TileMaps, rows: Rows, guesses: Poses, priors: Annotated[FloatArray, "K", 3, 3], beams: BeamEnds
     ) -> Match:
         """Match the scan to maps `rows` (K,) from `guesses` (K, 3) with prior information (K, 3, 3)."""
-        return Match(*maps.match(rows, guesses, priors, beams.ends, *self._settings(maps, beams)))
+        passes = self.max_iterations if len(beams) >= self.min_beams else 0
+        return Match(*maps.match(rows, guesses, priors, beams.ends, passes, *self._settings(maps)))
 
     def match_pose(self, maps: TileMaps, row: int, guess: Pose, prior: Information, beams: BeamEnds) -> PoseMatch:
         """Match the scan to map `row` from one guess: as by a call with K = 1, but without an array for each number."""
-        return PoseMatch(*maps.match_pose(row, guess, prior, beams.ends, *self._settings(maps, beams)))
+        passes = self.max_iterations if len(beams) >= self.min_beams else 0
+        return PoseMatch(*maps.match_pose(row, guess, prior, beams.ends, passes, *self._settings(maps)))
 
-    def _settings(self, maps: TileMaps, beams: BeamEnds) -> tuple[float | bool, ...]:
+    def _settings(self, maps: TileMaps) -> tuple[float | bool, ...]:
         """Return the arguments of the kernels, in cells of the maps."""
         cell = maps.resolution_m
         return (
-            self.max_iterations if len(beams) >= self.min_beams else 0,
             self.cauchy_m / cell,
             self.max_step_m / cell,
             self.max_step_rad,
