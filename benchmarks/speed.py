@@ -63,10 +63,6 @@ class Side(NamedTuple):
             document = json.loads((out / "run.json").read_text(encoding="utf-8"))
         return {**figures, "peak_mb": document["peak_memory_bytes"] / 1e6}
 
-    def hold(self, particles: int) -> list[str]:
-        """Options for that many particles all the time, as the reference has them always."""
-        return ["--particles", str(particles), *(["--set", f"particles_min={particles}"] * (self.benchmarks == _HERE))]
-
     def run(self, *arguments: str) -> dict[str, float]:
         """User CPU and wall time (s) of the interpreter."""
         begin = time.perf_counter()
@@ -91,19 +87,15 @@ class Row(NamedTuple):
 def rows(log: Path) -> dict[str, Row]:
     """All rows, by name; `log` is the Intel Research Lab."""
 
-    def share_of_one_thread(particles: int, *options: str) -> Callable[[Side], dict[str, float]]:
-        def measure(side: Side) -> dict[str, float]:
-            common = ["--no-loop-closure", *side.hold(particles), *options]
-            one, two = (side.map(log, *common, "--threads", count)["wall_s"] for count in "12")
-            return {"two_threads": two / one}
+    def two_threads(side: Side) -> dict[str, float]:
+        one, two = (side.map(log, "--threads", count)["wall_s"] for count in "12")
+        return {"two_threads": two / one}
 
-        return measure
-
-    def campus_peak(side: Side) -> dict[str, float]:
+    def campus_drive(side: Side) -> dict[str, float]:
         with tempfile.TemporaryDirectory() as folder:
-            log = Path(folder) / "campus.clf"
-            write_carmen(log, campus(0).simulate().measurements)
-            return {"peak_mb": side.map(log)["peak_mb"]}
+            drive = Path(folder) / "campus.clf"
+            write_carmen(drive, campus(0).simulate().measurements)
+            return side.map(drive)
 
     def start(side: Side) -> dict[str, float]:
         empty = side.run("-c", "pass")["wall_s"]
@@ -115,27 +107,17 @@ def rows(log: Path) -> dict[str, Row]:
         }
 
     return {
-        "alone": Row(lambda side: side.map(log, "--no-loop-closure"), {"user_s": 0.42}, {"peak_mb": 90}),
-        "one-particle": Row(lambda side: side.map(log, "--no-loop-closure", "--particles", "1"), {}, {}),
-        "full": Row(lambda side: side.map(log), {"user_s": 0.42}, {"peak_mb": 120}),
-        "threads-30": Row(share_of_one_thread(30), {}, {"two_threads": 0.75}, 3),
-        "threads-300": Row(share_of_one_thread(300, "--duration", "600"), {}, {"two_threads": 0.60}, 3),
-        "threads-3000": Row(share_of_one_thread(3000, "--duration", "100"), {}, {"two_threads": 0.60}, 1),
-        "kernels": Row(lambda side: side.part("kernels"), {}, {"two_threads": 0.588}),
-        "1000": Row(
-            lambda side: side.map(log, *side.hold(1000), "--threads", "2", "--duration", "600"),
-            {"user_s": 0.42},
-            {"peak_mb": 800, "wall_s": 600 / 50},
-            1,
+        "start": Row(start, {}, {"help_s": 0.25, "first_scan_s": 0.6}),
+        "full": Row(lambda side: side.map(log), {"user_s": 0.68}, {"peak_mb": 150}),
+        "alone": Row(lambda side: side.map(log, "--no-loop-closure"), {"user_s": 0.66}, {}),
+        "one-particle": Row(
+            lambda side: side.map(log, "--no-loop-closure", "--particles", "1"), {"user_s": 0.7}, {}, 3
         ),
-        "dense": Row(
-            lambda side: side.part("dense"), {"p99_ms": 0.74, "longest_ms": 0.2}, {"p99_ms": 10, "longest_ms": 40}
-        ),
+        "threads": Row(two_threads, {}, {"two_threads": 0.65}, 3),
+        "dense": Row(lambda side: side.part("dense"), {}, {"p99_ms": 10, "longest_ms": 40}),
         "map-size": Row(lambda side: side.part("map_size"), {}, {"ratio": 1.1}, 1),
-        "2-km": Row(campus_peak, {}, {"peak_mb": 250}, 1),
-        "mcl": Row(lambda side: side.part("mcl"), {"ms": 1 / 3}, {}),
-        "fastslam2": Row(lambda side: side.part("fastslam2"), {"ms": 1 / 4}, {}),
-        "start": Row(start, {}, {"import_s": 0.03, "help_s": 0.10, "first_scan_s": 0.30}),
+        "2-km": Row(campus_drive, {"user_s": 0.7, "peak_mb": 1}, {}, 1),
+        "mcl": Row(lambda side: side.part("mcl"), {"ms": 0.71}, {}),
     }
 
 

@@ -17,17 +17,11 @@ import numpy as np
 _CORRIDOR_M = 2.4
 
 
-def _find(module: Any, name: str, earlier: str) -> Any:  # noqa: ANN401
-    """Return a class of a module by its name, or by that which it has at the earlier commit."""
-    return getattr(module, name, None) or getattr(module, earlier)
-
-
 def mcl(particles: int = 10_000, count: int = 180, updates: int = 100) -> dict[str, float]:
     """CPU ms of an update of Monte Carlo localization in a hall of 40 m x 40 m with 600 pillars, one thread."""
-    from gridslam import localization
-    from gridslam.localization import KnownMap, MonteCarloLocalization
+    from gridslam.localization import KnownMap, MonteCarloConfiguration, MonteCarloLocalization
     from gridslam.localization.kld_sampling import KldSampling
-    from gridslam.particles import policies
+    from gridslam.particles.policies import AlwaysResample, MotionThreshold
     from gridslam.types import LaserScan, OccupancyGrid, Odometry, ScanGeometry
 
     rng, cells = np.random.default_rng(0), np.full((800, 800), -4.0, np.float32)
@@ -35,11 +29,11 @@ def mcl(particles: int = 10_000, count: int = 180, updates: int = 100) -> dict[s
     for row, column in rng.integers(2, 796, (600, 2)):
         cells[row : row + 3, column : column + 3] = 4.0
     known = KnownMap(OccupancyGrid(cells, np.ones(cells.shape, bool), 0.05, (0.0, 0.0)))
-    parts = _find(localization, "MonteCarloConfiguration", "MonteCarloParts")(
+    parts = MonteCarloConfiguration(
         kld=KldSampling(particles_min=particles, particles_max=particles),
         max_beams=count,
-        when_to_update=_find(policies, "MotionThreshold", "MovedAtLeast")(1e-9, 1.0),
-        when_to_resample=_find(policies, "AlwaysResample", "Always")(),
+        when_to_update=MotionThreshold(1e-9, 1.0),
+        when_to_resample=AlwaysResample(),
     )
     slam, rng = MonteCarloLocalization(known, parts), np.random.default_rng(0)
     truth, bearings = np.array([20.0, 20.0, 0.0]), np.linspace(-math.pi / 2, math.pi / 2, count)
@@ -53,15 +47,6 @@ def mcl(particles: int = 10_000, count: int = 180, updates: int = 100) -> dict[s
     for odometry, scan in drive:
         state, _ = slam.step(state, odometry, scan, rng)
     return {"ms": 1e3 * (time.process_time() - begin) / updates}
-
-
-def fastslam2() -> dict[str, float]:
-    """Wall ms of a step of FastSLAM 2.0, 1000 particles x 100 landmarks, two observations a step."""
-    import landmarks
-
-    known = _find(landmarks, "KnownCorrespondence", "Told")
-    filters = landmarks.LandmarkFilters(landmarks._SENSOR, known())
-    return {"ms": 1e3 / landmarks._fastslam_rate(landmarks.FastSlam2(filters), 1000, 100, 100)}
 
 
 def dense(scans: int = 2000) -> dict[str, float]:
@@ -79,30 +64,6 @@ def dense(scans: int = 2000) -> dict[str, float]:
         state, _ = slam.step(state, odometry, scan, rng) if state else slam.init(odometry, scan)
         seconds.append(time.perf_counter() - begin)
     return {"p99_ms": 1e3 * float(np.percentile(seconds, 99)), "longest_ms": 1e3 * max(seconds)}
-
-
-def kernels(particles: int = 300, scans: int = 120) -> dict[str, float]:
-    """Wall time of matches and updates of many maps with two threads over that with one."""
-    from gridslam.mapping.occupancy_grid_mapping import OccupancyGridMapping
-    from gridslam.matching.gauss_newton import GaussNewton
-    from gridslam.sim import LidarConfig, OdometryNoise, RobotConfig, make_world, simulate
-
-    rng = np.random.default_rng(0)
-    lidar = LidarConfig(beams=180, field_of_view_rad=math.pi, range_max_m=30.0)
-    drive = simulate(make_world("demo", rng), RobotConfig(), OdometryNoise(), lidar, rng)
-    mapper, matcher = OccupancyGridMapping(), GaussNewton()
-    maps = {threads: mapper.empty(particles, threads) for threads in (1, 2)}
-    rows, priors = np.arange(particles, dtype=np.int32), np.tile(1e-4 * np.eye(3), (particles, 1, 1))
-    seconds = {1: 0.0, 2: 0.0}
-    for number, (odometry, scan) in enumerate(islice(drive.measurements, 0, 8 * scans, 8)):
-        beams = scan.beams(0.05, 30.0)
-        poses = odometry.pose + rng.normal(size=(particles, 3)) * [0.05, 0.05, 0.01]
-        for threads in (1, 2) if number % 2 else (2, 1):
-            begin = time.perf_counter()
-            matcher(maps[threads], rows, poses, priors, beams)
-            maps[threads].update(rows, poses, beams)
-            seconds[threads] += time.perf_counter() - begin if number >= scans // 6 else 0.0
-    return {"two_threads": seconds[2] / seconds[1]}
 
 
 def ring(side_m: float, rng: np.random.Generator) -> Any:  # noqa: ANN401
@@ -151,7 +112,7 @@ def map_size(last: int = 300) -> dict[str, float]:
     return {"ratio": means[1] / means[0]}
 
 
-PARTS = {part.__name__: part for part in (mcl, fastslam2, dense, kernels, map_size)}
+PARTS = {part.__name__: part for part in (mcl, dense, map_size)}
 
 if __name__ == "__main__":
     sys.path.insert(0, sys.argv[2])
