@@ -34,7 +34,7 @@ from gridslam.slam.grid_fastslam.grid_fastslam import GridFastSlam
 from gridslam.slam.grid_fastslam.state import GridFastSlamState
 from gridslam.types import StepReport
 
-_PRELOADED: Final = ("scipy.sparse", "qdldl", "gridslam.viz")
+_PRELOADED: Final = ("scipy.sparse.csgraph", "scipy.special", "qdldl", "gridslam.viz")
 """Modules that filter and `save` import on first use; imported early so that a moving robot does not wait."""
 
 

@@ -5,8 +5,6 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-from scipy.sparse import csr_matrix
-from scipy.sparse.csgraph import dijkstra
 
 from gridslam.geometry.se2 import between, compose, inverse
 from gridslam.slam.loop_closure.constraints import Constraint
@@ -48,6 +46,9 @@ def follow_certain_ways(
     ----------
     Olson, Robust and efficient robotic mapping (2008): the Dijkstra projection.
     """
+    from scipy.sparse import csr_matrix  # only who closes loops pays for their import
+    from scipy.sparse.csgraph import dijkstra
+
     count = len(sums)
     own = np.arange(count)
     pairs = np.concatenate([np.stack([own[:-1], own[1:]], axis=1), link_pairs])

@@ -8,8 +8,6 @@ from __future__ import annotations
 from typing import Any, NamedTuple, final
 
 import numpy as np
-from scipy.sparse import coo_matrix, csc_matrix
-from scipy.sparse.csgraph import connected_components
 
 from gridslam.errors import ArgumentError
 from gridslam.slam.pose_graph.pose_graph import PoseGraph
@@ -94,6 +92,9 @@ def require_connected(edges: IntArray, poses: int) -> None:
 
 def find_parts(edges: IntArray, poses: int) -> IntArray:
     """Label (N,) of the connected part, from 0 on, in which `edges` (M, 2) put each pose."""
+    from scipy.sparse import coo_matrix  # only who closes loops pays for their import
+    from scipy.sparse.csgraph import connected_components
+
     joined = coo_matrix((np.ones(len(edges)), edges.T), (poses, poses))
     return np.asarray(connected_components(joined, directed=False)[1], np.int64)
 
@@ -132,6 +133,8 @@ class BlockSystem:
 
     def _lay_out(self, pairs: IntArray, place: IntArray) -> None:
         """Find where the numbers of each block go: column by column, the blocks above the diagonal, then its own."""
+        from scipy.sparse import csc_matrix
+
         size = self.size
         free = self.free
         local = np.arange(self.size)[:, None]
@@ -148,7 +151,7 @@ class BlockSystem:
         own = np.broadcast_to((np.arange(free) * size)[:, None, None] + local, diagonal.shape)
         indices[self._of_upper(diagonal)] = self._of_upper(own)
         self._pivots = ends - 1  # the diagonal's numbers end the columns
-        self._matrix: csc_matrix = csc_matrix((np.zeros(len(indices)), indices, np.concatenate(([0], ends))))
+        self._matrix = csc_matrix((np.zeros(len(indices)), indices, np.concatenate(([0], ends))))
 
         spare = len(indices)  # takes what belongs to poses that are held
         crossing = np.concatenate((crossing, np.full((1, size, size), spare)))[place]

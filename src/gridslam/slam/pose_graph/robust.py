@@ -7,7 +7,6 @@ from dataclasses import dataclass, replace
 from typing import final
 
 import numpy as np
-from scipy.special import chdtri
 
 from gridslam.parameters import bounded, parameters
 from gridslam.slam.pose_graph.descent import Computation, DescentResult, descend, squared_mahalanobis
@@ -128,6 +127,8 @@ class GraduatedNonConvexity:
     @property
     def bound(self) -> float:
         """c^2, the truncation threshold: the largest squared error of an inlier."""
+        from scipy.special import chdtri  # only who closes loops pays for its import
+
         return float(chdtri(3, 1 - self.probability))
 
     def estimate(
