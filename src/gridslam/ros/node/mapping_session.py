@@ -11,7 +11,7 @@ from datetime import datetime, timezone
 from importlib import import_module
 from itertools import chain
 from pathlib import Path
-from typing import Any, Final, final
+from typing import Any, final
 
 import numpy as np
 
@@ -33,9 +33,6 @@ from gridslam.ros.node.session import FailureCallback
 from gridslam.slam.grid_fastslam.grid_fastslam import GridFastSlam
 from gridslam.slam.grid_fastslam.state import GridFastSlamState
 from gridslam.types import StepReport
-
-_PRELOADED: Final = ("scipy.sparse.csgraph", "scipy.special", "qdldl", "gridslam.viz")
-"""Modules that filter and `save` import on first use; imported early so that a moving robot does not wait."""
 
 
 @final
@@ -77,8 +74,7 @@ class Session:
         continued: Continued | None = None,
         log: Callable[[Level, str], None] = lambda level, text: None,
     ) -> None:
-        for name in _PRELOADED:
-            import_module(name)
+        import_module("gridslam.viz")  # early, as a moving robot does not wait for `save`
         self.state: GridFastSlamState | None = None
         self.continued = continued
         self.found_after_m: float | None = None

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from importlib import import_module
 from typing import Protocol, final
 
 import numpy as np
@@ -33,6 +34,8 @@ from gridslam.types import BeamEnds, FloatArray, StepReport
 
 SOLVER = GraphSlam(first_guess="given", robust=GraduatedNonConvexity())
 """How the graph is solved."""
+_PRELOADED = "scipy.sparse.csgraph", "scipy.special", "qdldl"
+"""Modules that are used where a loop is closed, and are imported at the first scan: a moving robot does not wait."""
 
 
 class FilterState(Protocol):
@@ -120,6 +123,8 @@ class LoopClosure:
 
     def init(self, state: FilterState, beams: BeamEnds) -> LoopClosureState:
         """Begin with the filter's first scan."""
+        for name in _PRELOADED:
+            import_module(name)
         closure_state = LoopClosureState()
         closure_state.scans.append(beams, state.tracker.pose, is_key=True)
         closure_state.online_poses.append(state.best_pose)
