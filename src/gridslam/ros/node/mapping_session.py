@@ -32,6 +32,7 @@ from gridslam.ros.node.messages import Level
 from gridslam.ros.node.session import FailureCallback
 from gridslam.slam.grid_fastslam.grid_fastslam import GridFastSlam
 from gridslam.slam.grid_fastslam.state import GridFastSlamState
+from gridslam.slam.loop_closure.loop_closure import LIBRARIES
 from gridslam.types import StepReport
 
 
@@ -74,7 +75,8 @@ class Session:
         continued: Continued | None = None,
         log: Callable[[Level, str], None] = lambda level, text: None,
     ) -> None:
-        import_module("gridslam.viz")  # early, as a moving robot does not wait for `save`
+        for name in (*LIBRARIES, "gridslam.viz"):  # before the first scan: transforms do not wait for an import
+            import_module(name)
         self.state: GridFastSlamState | None = None
         self.continued = continued
         self.found_after_m: float | None = None

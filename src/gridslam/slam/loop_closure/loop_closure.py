@@ -34,7 +34,7 @@ from gridslam.types import BeamEnds, FloatArray, StepReport
 
 SOLVER = GraphSlam(first_guess="given", robust=GraduatedNonConvexity())
 """How the graph is solved."""
-_PRELOADED = "scipy.sparse.csgraph", "scipy.special", "qdldl"
+LIBRARIES = "scipy.sparse.csgraph", "scipy.special", "qdldl"
 """Modules that are used where a loop is closed, and are imported at the first scan: a moving robot does not wait."""
 
 
@@ -123,7 +123,7 @@ class LoopClosure:
 
     def init(self, state: FilterState, beams: BeamEnds) -> LoopClosureState:
         """Begin with the filter's first scan."""
-        for name in _PRELOADED:
+        for name in LIBRARIES:
             import_module(name)
         closure_state = LoopClosureState()
         closure_state.scans.append(beams, state.tracker.pose, is_key=True)
