@@ -64,28 +64,29 @@ def judge(kind: str, seed: int, configuration: Configuration | None = None) -> d
     measurements, truth = simulated(kind, seed)
     reports, full = map_drive(measurements, configuration or Configuration(), seed)
     true = between(truth[0], truth)
-    found = {"kind": kind, "seed": seed} | rate("online", *online(reports), true)
-    found |= rate("final", full.poses, full.covariances, true)
+    found = {"kind": kind, "seed": seed} | measure_consistency("online", *stack_reports(reports), true)
+    found |= measure_consistency("final", full.poses, full.covariances, true)
     return found | {"rmse_m": float(np.sqrt(np.square((full.poses - true)[:, :2]).sum(axis=1).mean()))}
 
 
 def judge_log(path: str, seed: int, configuration: Configuration) -> dict[str, Any]:
-    """Map a real log; the same of its online poses against its final ones."""
+    """Map a real log; average NEES and percentage below the quantile of its online poses, against its final ones."""
     reports: list[StepReport] = []
     observers = [lambda report, state, seconds: reports.append(report)]
     final = map_log(path, configuration=configuration, seed=seed, keep_particles=False, observers=observers)
-    poses, covariances = online(reports)
+    poses, covariances = stack_reports(reports)
     true = between(final.trajectory.poses[0], final.trajectory.poses)
-    return {"kind": Path(path).name, "seed": seed} | rate("online", between(poses[0], poses), covariances, true)
+    found = measure_consistency("online", between(poses[0], poses), covariances, true)
+    return {"kind": Path(path).name, "seed": seed} | found
 
 
-def online(reports: Sequence[StepReport]) -> tuple[FloatArray, FloatArray]:
-    """Poses (N, 3) and covariances (N, 3, 3) of reports."""
+def stack_reports(reports: Sequence[StepReport]) -> tuple[FloatArray, FloatArray]:
+    """Return the poses (N, 3) and covariances (N, 3, 3) of reports."""
     return np.array([report.pose for report in reports]), np.array([report.covariance for report in reports])
 
 
-def rate(name: str, poses: FloatArray, covariances: FloatArray, true: FloatArray) -> dict[str, Any]:
-    """Average NEES and percentage below the quantile."""
+def measure_consistency(name: str, poses: FloatArray, covariances: FloatArray, true: FloatArray) -> dict[str, Any]:
+    """Compute the average NEES and the percentage below the quantile, without the first tenth of the drive."""
     judged = slice(len(true) // 10, None)
     squares = nees(poses[judged], true[judged], covariances[judged])
     return {f"{name}_nees": float(squares.mean()), f"{name}_inside": float(100 * (squares < QUANTILE).mean())}

@@ -30,7 +30,7 @@ ALL_TOPICS: Final = {
     "amcl_pose": "geometry_msgs/PoseWithCovarianceStamped",
     "particle_cloud": "nav2_msgs/ParticleCloud",
 }
-"""Published by a node that localizes: two more, with the names and types of nav2."""
+"""Published by a node that localizes: also the pose and the particles, with the names and types of nav2."""
 
 LATCHED: Final = ("map", "map_metadata", "~/entropy", "amcl_pose")
 """Topics whose last message late subscribers receive."""

@@ -35,7 +35,7 @@ from gridslam.types import BeamEnds, FloatArray, StepReport
 SOLVER = GraphSlam(first_guess="given", robust=GraduatedNonConvexity())
 """How the graph is solved."""
 LIBRARIES = "scipy.sparse.csgraph", "scipy.special", "qdldl"
-"""Modules that are used where a loop is closed, and are imported at the first scan: a moving robot does not wait."""
+"""Modules that closing a loop needs. They are imported at the first scan, so that no later one waits for an import."""
 
 
 class FilterState(Protocol):

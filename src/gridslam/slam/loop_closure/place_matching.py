@@ -134,8 +134,8 @@ class PlaceMatching:
         if tracked is None:
             anchor = anchor_of(submap)
             (expected,), covariances = graph.locate(newest, np.array([anchor]))
-            here = compose(graph.poses[anchor], np.stack([expected, constraint.measurement]))
-            innovation = wrap_headings(here[1] - here[0])
+            predicted, matched = compose(graph.poses[anchor], np.stack([expected, constraint.measurement]))
+            innovation = wrap_headings(matched - predicted)
             is_far = math.hypot(innovation[0], innovation[1]) > self.filter_max_correction_m
             if is_far or squared_sigmas(covariances[0], innovation) >= _GATE_SIGMAS**2:
                 return
