@@ -91,6 +91,6 @@ def motion_of(increment: Pose) -> tuple[float, float]:
 
 
 def is_within(a: Pose, b: Pose, metres: float, radians: float) -> bool:
-    """Return whether two poses differ by less than so many metres and so many radians."""
+    """Return whether two poses differ by less than both limits."""
     near = math.hypot(a[0] - b[0], a[1] - b[1]) < metres
     return near and abs(math.remainder(a[2] - b[2], math.tau)) < radians
