@@ -132,7 +132,8 @@ def main(arguments: Sequence[str] | None = None) -> Path:
     parser.add_argument("-o", "--out", type=Path, default=_RESULT)
     given = parser.parse_args(arguments)
     reference = given.reference.resolve()
-    own = dict(os.environ)
+    # as installed: a checkout whose bytecode is not kept would be compiled at each start
+    own = {name: value for name, value in os.environ.items() if name != "PYTHONDONTWRITEBYTECODE"}
     installed = {name: value for name, value in own.items() if name != "PYTHONPATH"}
     sides = {
         "reference": Side(str(reference / ".venv/bin/python"), reference / "benchmarks", installed),
