@@ -13,7 +13,19 @@ import inspect
 from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from contextvars import ContextVar
 from types import FunctionType, NoneType, UnionType
-from typing import Annotated, Any, Literal, TypeVar, Union, cast, get_args, get_origin, get_type_hints
+from typing import (
+    Annotated,
+    Any,
+    Literal,
+    NamedTuple,
+    TypeVar,
+    Union,
+    cast,
+    final,
+    get_args,
+    get_origin,
+    get_type_hints,
+)
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -33,7 +45,7 @@ _NUMBERS: Mapping[object, tuple[type, ...]] = {
     bool: (bool, np.bool_),
 }
 
-
+_MEASURED = (int, float, np.number, np.ndarray)
 _BUILTINS = {kind.__name__: kind for kind in (bool, bytes, dict, float, int, list, object, set, str, tuple, type)}
 _is_within: ContextVar[bool] = ContextVar("is_within", default=False)
 """Whether a public function is under way, of which the arguments are checked; each thread has its own."""
@@ -78,7 +90,8 @@ def _check_calls(function: Callable[..., Any]) -> Callable[..., Any]:
     def check(*args: Any, **kwargs: Any) -> Any:  # noqa: ANN401 whatever the function takes
         if _is_within.get():
             return function(*args, **kwargs)
-        _require_arguments(function, args, kwargs, _require if begins_later else _require_stated)
+        if begins_later or _signature(function).noted:
+            _require_arguments(function, args, kwargs, of_noted=not begins_later)
         before = _is_within.set(True)
         try:
             return function(*args, **kwargs)
@@ -88,7 +101,7 @@ def _check_calls(function: Callable[..., Any]) -> Callable[..., Any]:
             if type(error).__module__.startswith("pydantic"):
                 raise
             try:
-                _require_arguments(function, args, kwargs, _require)
+                _require_arguments(function, args, kwargs)
             except ArgumentError as wrong:
                 raise wrong from error
             if reads_logs or isinstance(error, TypeError | AttributeError | KeyError):
@@ -100,22 +113,37 @@ def _check_calls(function: Callable[..., Any]) -> Callable[..., Any]:
     return check
 
 
+@final
+class _Signature(NamedTuple):
+    """Signature of a function, its annotations, which parameters' have notes, and if one is the length of `self`."""
+
+    signature: inspect.Signature
+    hints: dict[str, Any]
+    noted: frozenset[str]
+    measures_self: bool
+
+
 @functools.cache
-def _signature(function: Callable[..., Any]) -> tuple[inspect.Signature, dict[str, Any], bool]:
-    """Return the signature of a function, its annotations, and whether one of them asks for the length of `self`."""
+def _signature(function: Callable[..., Any]) -> _Signature:
     names = _Names(getattr(function, "__globals__", {}))
     hints = get_type_hints(function, localns=names, include_extras=True)
-    return inspect.signature(function), hints, "'self'" in repr(hints)
+    noted = frozenset(name for name, hint in hints.items() if name != "return" and get_origin(hint) is Annotated)
+    return _Signature(inspect.signature(function), hints, noted, "'self'" in repr(hints))
 
 
 def _require_arguments(
-    function: Callable[..., Any], args: tuple[Any, ...], kwargs: dict[str, Any], require: Callable[..., None]
+    function: Callable[..., Any], args: tuple[Any, ...], kwargs: dict[str, Any], *, of_noted: bool = False
 ) -> None:
-    signature, hints, measures_self = _signature(function)
+    """Raise ArgumentError where an argument does not match its annotation; `of_noted`: an array or a number with notes.
+
+    TypeError where the function has no such arguments.
+    """
+    signature, hints, noted, measures_self = _signature(function)
     arguments = signature.bind(*args, **kwargs).arguments
     sizes = {"self": len(arguments["self"])} if measures_self else {}
     for name, value in arguments.items():
-        hint = hints.get(name, Any)
+        if of_noted and name not in noted:
+            continue
         kind = signature.parameters[name].kind
         values = (
             value
@@ -125,15 +153,10 @@ def _require_arguments(
             else (value,)
         )
         for each in values:
+            if of_noted and (not isinstance(each, _MEASURED) or isinstance(each, bool)):
+                continue
             if each is not signature.parameters[name].default:
-                require(name, each, hint, sizes)
-
-
-def _require_stated(name: str, value: object, hint: Any, sizes: dict[str, int]) -> None:  # noqa: ANN401
-    """Raise ArgumentError where an array or a number is not of the shape and in the limits that are stated for it."""
-    is_number = isinstance(value, int | float | np.number) and not isinstance(value, bool)
-    if get_origin(hint) is Annotated and (is_number or isinstance(value, np.ndarray)):
-        _require(name, value, hint, sizes)
+                _require(name, each, hints.get(name, Any), sizes)
 
 
 def _require(name: str, value: object, hint: Any, sizes: dict[str, int]) -> None:  # noqa: ANN401

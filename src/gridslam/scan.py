@@ -492,6 +492,6 @@ def _warn_of_units(scan: LaserScan) -> None:
         message = f"bearings reach {np.abs(bearings).max():.0f} rad: are they in degrees? Expected rad"
         warnings.warn(message, UserWarning, stacklevel=3)
     hits = scan.ranges[scan.status == _HIT]
-    if len(hits) and np.median(hits) > _FARTHEST_M:
+    if 2 * np.count_nonzero(hits > _FARTHEST_M) > len(hits):
         message = f"ranges have a median of {np.median(hits):.0f} m: are they in millimetres? Expected m"
         warnings.warn(message, UserWarning, stacklevel=3)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterable, Sequence
+from functools import cache
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -142,6 +143,12 @@ class Maker:
         return bytes(self.store.serialize_cdr(message, said.type, little_endian=little_endian))
 
 
+@cache
+def _maker(ros1: bool) -> Maker:
+    """As each compiles the types of messages anew."""
+    return Maker(ros1)
+
+
 def write(
     folder: Path,
     kind: str,
@@ -156,7 +163,7 @@ def write(
     """
     from rosbags import rosbag1, rosbag2
 
-    maker = Maker(kind == "ros1")
+    maker = _maker(kind == "ros1")
     if kind == "ros1":
         path = folder / f"{name}.bag"
         writer: Any = rosbag1.Writer(path)
