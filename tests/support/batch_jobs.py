@@ -16,7 +16,7 @@ from gridslam.batch.job import Job, compute_key
 from gridslam.errors import GridslamError, InputError
 from gridslam.io.output import OutputFolder
 
-PROGRAM = sys.executable, "-m", "support.batch_jobs"
+PROGRAM = "support.batch_jobs"
 
 
 def make_job(function, name, **arguments):
@@ -101,18 +101,15 @@ def leave(arguments):
     os._exit(7)
 
 
-def main():
-    """Call the function that is named as the command line calls a command."""
-    function, text, _, out, *_ = sys.argv[1:]
+def main(words):
+    """Call the function that is named as the command line calls a command, and return an exit status."""
+    function, text, _, out, *_ = words
     try:
         print(json.dumps(globals()[function]({**json.loads(text), "out": out})))
     except GridslamError as error:
         print(f"gridslam: {error}", file=sys.stderr)
-        sys.exit(2)
+        return 2
     except MemoryError:
         print("gridslam: out of memory", file=sys.stderr)
-        sys.exit(1)
-
-
-if __name__ == "__main__":
-    main()
+        return 1
+    return 0

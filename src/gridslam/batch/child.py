@@ -2,26 +2,39 @@
 
 from __future__ import annotations
 
+import faulthandler
+import importlib
 import json
 import math
+import multiprocessing
 import os
 import signal
-import subprocess
 import sys
 import tempfile
 import threading
 import time
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from datetime import datetime, timezone
 from pathlib import Path
-from typing import Any, Final, NamedTuple
+from typing import Any, Final, NamedTuple, cast
 
 from gridslam.batch.job import Job
 from gridslam.batch.journal import COLUMNS
 from gridslam.io.output import remove_abandoned
 
-PROGRAM: Final = (sys.executable, "-X", "faulthandler", "-m", "gridslam")
+PROGRAM: Final = "gridslam.cli.main"
+"""Module whose function `main` runs the words of a command line and returns an exit status."""
+_PRELOADED: Final = (
+    *(PROGRAM, "gridslam.cli.session_options", "gridslam.cli.map", "gridslam.cli.localize", "gridslam.cli.evaluate"),
+    *("gridslam.viz", "scipy.sparse.csgraph", "scipy.special", "qdldl"),
+)
+"""Imported once, by the server from which children are forked: a second that a child has not to spend."""
+_CONTEXT: Any = multiprocessing.get_context(
+    "forkserver" if "forkserver" in multiprocessing.get_all_start_methods() else None
+)
+_STARTING = threading.Lock()
+"""Held where children are started or looked for: multiprocessing looks for all of them when it starts one."""
 _LOOK_S = 0.05
 _TAIL_BYTES = 4000  # of the output of a job
 _DONE: Final = (0, 3)  # exit statuses: 3 is the doctor's of a log with faults
@@ -116,19 +129,40 @@ def _name_failure(end: _End, timeout_s: float | None) -> tuple[str, str]:
 
 def _run_child(words: Sequence[str], due: float, stopped: threading.Event, scratch: Path) -> _End:
     """Run a command line until it ends, its time is over or the batch is stopped."""
-    with (scratch / "stdout").open("w+b") as printed, (scratch / "stderr").open("w+b") as reported:
-        child = subprocess.Popen(
-            [*PROGRAM, *words], stdin=subprocess.DEVNULL, stdout=printed, stderr=reported, start_new_session=True
-        )
-        try:
-            while child.poll() is None and time.monotonic() < due and not stopped.wait(_LOOK_S):
-                pass
-        finally:
-            is_late = child.poll() is None and time.monotonic() >= due
-            with suppress(ProcessLookupError, PermissionError):
-                os.killpg(child.pid, signal.SIGKILL)  # with what it may have started, too
-            child.wait()
-        printed.seek(0)
-        reported.seek(0)
-        tail = reported.read()[-_TAIL_BYTES:].decode("utf-8", "replace")
-        return _End(None if is_late else child.returncode, printed.read(), tail)
+    printed, reported = scratch / "stdout", scratch / "stderr"
+    place = os.getcwd(), dict(os.environ), os.fspath(printed), os.fspath(reported)
+    child = _CONTEXT.Process(target=_run_program, args=(PROGRAM, words, *place))
+
+    def status() -> int | None:
+        with _STARTING:
+            return cast("int | None", child.exitcode)
+
+    with _STARTING:
+        _CONTEXT.set_forkserver_preload([*_PRELOADED])
+        child.start()
+    try:
+        while status() is None and time.monotonic() < due and not stopped.wait(_LOOK_S):
+            pass
+    finally:
+        is_late = status() is None and time.monotonic() >= due
+        with suppress(ProcessLookupError, PermissionError):
+            os.killpg(child.pid, signal.SIGKILL)  # with what it may have started, too
+        child.kill()  # if it was no group yet
+        while status() is None:
+            time.sleep(_LOOK_S)
+    tail = reported.read_bytes()[-_TAIL_BYTES:].decode("utf-8", "replace") if reported.exists() else ""
+    return _End(None if is_late else status(), printed.read_bytes() if printed.exists() else b"", tail)
+
+
+def _run_program(
+    program: str, words: Sequence[str], folder: str, environment: Mapping[str, str], printed: str, reported: str
+) -> None:
+    """Run a command line in this process, a group of its own, of which the output goes to two files."""
+    os.setsid()
+    os.chdir(folder)
+    os.environ.clear()
+    os.environ.update(environment)
+    for stream, path in ((1, printed), (2, reported)):
+        os.dup2(os.open(path, os.O_WRONLY | os.O_CREAT | os.O_TRUNC), stream)
+    faulthandler.enable()
+    sys.exit(importlib.import_module(program).main(words))

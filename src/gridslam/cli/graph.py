@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gridslam import __version__
-from gridslam.cli import STARTED_S
+from gridslam.cli import find_start_s
 from gridslam.cli.output import open_output, print_result, warn
 from gridslam.errors import ArgumentError, InputError
 from gridslam.io.g2o import G2oGraph, read_g2o, write_g2o
@@ -32,7 +32,7 @@ def graph_to_folder(
     file: Path, out: Path, robust: bool, no_guess: bool, skip_unknown: bool, max_iterations: int, as_json: bool
 ) -> None:
     """Solve a pose graph, write the results to a folder and print a summary."""
-    watch = Stopwatch(STARTED_S, 0.0)
+    watch = Stopwatch(find_start_s(), 0.0)
     solver = GraphSlam(
         first_guess="computed" if no_guess else "either",
         robust=GraduatedNonConvexity() if robust else None,

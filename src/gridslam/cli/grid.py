@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any, Literal
 
 from gridslam.api.grid import GridModel, GridResult, map_with_poses
-from gridslam.cli import STARTED_S
+from gridslam.cli import find_start_s
 from gridslam.cli.options import name_option
 from gridslam.cli.output import counted, open_output, open_progress, print_result, warn
 from gridslam.io.log import LogOptions, open_log
@@ -30,7 +30,7 @@ def grid_to_folder(
     as_json: bool,
 ) -> None:
     """Map a log with known poses, write the results to a folder and print a summary."""
-    watch = Stopwatch(STARTED_S, 0.0)
+    watch = Stopwatch(find_start_s(), 0.0)
     source = open_log(log, options)
     with (
         open_output(out, GridResult.all_names()) as folder,

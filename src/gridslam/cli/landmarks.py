@@ -11,7 +11,7 @@ import click
 
 from gridslam.api.landmark_localization import localize_by_landmarks
 from gridslam.api.landmarks import LandmarkMethod, ResultByLandmarks, map_landmarks
-from gridslam.cli import STARTED_S
+from gridslam.cli import find_start_s
 from gridslam.cli.options import name_option
 from gridslam.cli.output import open_output, open_progress, print_result
 from gridslam.errors import InputError
@@ -46,7 +46,7 @@ def landmarks_to_folder(
             raise click.ClickException("--unknown: GraphSLAM requires known correspondences")
         run = partial(map_landmarks, method=method, particles=particles, seed=seed)
         summarize = _summarize_map
-    watch = Stopwatch(STARTED_S, 0.0)
+    watch = Stopwatch(find_start_s(), 0.0)
     source = open_landmark_log(log)
     with (
         open_output(out, ResultByLandmarks.all_names()) as folder,

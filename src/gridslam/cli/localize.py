@@ -13,7 +13,7 @@ import numpy as np
 from gridslam.api.amcl import AMCL_DEFAULTS, AmclParameters, from_amcl, override_configuration, read_amcl
 from gridslam.api.diagnosis import check_log
 from gridslam.api.localization import LocalizationResult, localize
-from gridslam.cli import STARTED_S
+from gridslam.cli import find_start_s
 from gridslam.cli.live import open_viewers
 from gridslam.cli.options import name_option
 from gridslam.cli.output import open_output, open_progress, print_result
@@ -46,7 +46,7 @@ def localize_to_folder(
     as_json: bool,
 ) -> None:
     """Localize a log in a map, write the results if a folder is given and print a summary."""
-    watch = Stopwatch(STARTED_S, 0.0)
+    watch = Stopwatch(find_start_s(), 0.0)
     read = read_parameters(preset, config, particles, assignments)
     how: dict[str, Any] = {
         "pose": read.pose if initial_pose is None else initial_pose,

@@ -9,7 +9,7 @@ from typing import Any, Literal
 
 from gridslam.api.diagnosis import check_log, describe_finding
 from gridslam.api.mapping import MapResult, map_log
-from gridslam.cli import STARTED_S
+from gridslam.cli import find_start_s
 from gridslam.cli.live import Viewers, open_viewers
 from gridslam.cli.options import MapOptions
 from gridslam.cli.output import counted, open_output, open_progress, print_result
@@ -29,7 +29,7 @@ def map_to_folder(
     as_json: bool,
 ) -> None:
     """Map a log, write the results to a folder and print a summary."""
-    watch = Stopwatch(STARTED_S, 0.0)
+    watch = Stopwatch(find_start_s(), 0.0)
     configuration = given.configuration()
     opened = session.open(configuration, given.seed, given.threads)
     if opened is not None:

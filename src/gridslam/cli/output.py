@@ -8,7 +8,7 @@ import sys
 import threading
 import time
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from contextlib import ExitStack, contextmanager, suppress
+from contextlib import ExitStack, contextmanager, nullcontext, suppress
 from pathlib import Path
 from types import FrameType
 from typing import TYPE_CHECKING, Any, TypeAlias
@@ -18,6 +18,8 @@ import click
 from gridslam.errors import OutputError
 
 if TYPE_CHECKING:
+    from rich.progress import Progress
+
     from gridslam.io.log import Log
     from gridslam.io.output import OutputFolder
 
@@ -149,14 +151,8 @@ def open_display(shown: bool) -> Iterator[Display]:
 
     On a terminal that is a bar, elsewhere a line. Its argument, which is not called before, returns both.
     """
-    from rich.console import Console
-    from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
-
-    console = Console(stderr=True)
-    columns = BarColumn(), TextColumn("{task.description}"), TimeRemainingColumn()
-    is_bar = shown and console.is_terminal
-    with Progress(*columns, console=console, auto_refresh=False, transient=True, disable=not is_bar) as progress:
-        task = progress.add_task("")
+    is_bar = shown and sys.stderr.isatty()
+    with _make_bar() if is_bar else nullcontext() as bar:
         due = time.perf_counter() + (_BAR_EVERY_S if is_bar else _LINE_EVERY_S)
 
         def display(describe: Callable[[], tuple[float | None, str]]) -> None:
@@ -168,10 +164,20 @@ def open_display(shown: bool) -> Iterator[Display]:
             due = now + (_BAR_EVERY_S if is_bar else _LINE_EVERY_S)
             share, text = describe()
             line = text if share is None else f"{share:4.0%}  {text}"
-            if is_bar:
+            if bar is not None:
                 total = None if share is None else 1.0
-                progress.update(task, completed=share or 0.0, total=total, description=line, refresh=True)
+                bar.update(bar.task_ids[0], completed=share or 0.0, total=total, description=line, refresh=True)
             else:
                 print(line, file=sys.stderr, flush=True)
 
         yield display
+
+
+def _make_bar() -> Progress:
+    from rich.console import Console  # only a terminal pays for its import
+    from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
+
+    columns = BarColumn(), TextColumn("{task.description}"), TimeRemainingColumn()
+    bar = Progress(*columns, console=Console(stderr=True), auto_refresh=False, transient=True)
+    bar.add_task("")
+    return bar

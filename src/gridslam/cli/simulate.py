@@ -13,7 +13,7 @@ import numpy as np
 
 from gridslam.api.evaluation import score_against_truth
 from gridslam.api.mapping import MapResult, map_log
-from gridslam.cli import STARTED_S
+from gridslam.cli import find_start_s
 from gridslam.cli.evaluate import format_scores
 from gridslam.cli.live import open_viewers
 from gridslam.cli.map import map_with_progress, summarize
@@ -115,7 +115,7 @@ def _truth_name(out: Path) -> str:
 
 def demo(out: Path, seed: int, live: LiveOptions | None, no_history: bool, as_json: bool) -> None:
     """Simulate the world `demo`, map it and compare with the truth."""
-    watch = Stopwatch(STARTED_S, 0.0)
+    watch = Stopwatch(find_start_s(), 0.0)
     rng = np.random.default_rng(seed)
     configuration = Configuration()
     slowed = None if live is None else replace(live, speed=live.speed or _DEMO_SPEED)

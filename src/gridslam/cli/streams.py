@@ -11,12 +11,15 @@ from contextlib import suppress
 def open_streams() -> None:
     """Make standard output and error able to print any text, as names of files may hold bytes that are no text.
 
-    What is closed becomes the null device: the next file that is opened would take its place.
+    What is closed becomes the null device, here and in child processes: the next file that is opened would take its
+    place.
     """
     for name in ("stdin", "stdout", "stderr"):
         stream = getattr(sys, name)
         if stream is None:
-            setattr(sys, name, open(os.devnull, "r" if name == "stdin" else "w"))  # noqa: SIM115
+            stream = open(os.devnull, "r" if name == "stdin" else "w")  # noqa: SIM115
+            os.set_inheritable(stream.fileno(), True)
+            setattr(sys, name, stream)
         elif isinstance(stream, io.TextIOWrapper):
             stream.reconfigure(errors="backslashreplace")
 

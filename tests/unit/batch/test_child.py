@@ -1,7 +1,6 @@
 """A job in a child process: whatever becomes of it is a row with a name."""
 
 import os
-import sys
 import threading
 import time
 
@@ -18,7 +17,6 @@ pytestmark = pytest.mark.skipif(not hasattr(os, "killpg"), reason="needs process
 @pytest.fixture(autouse=True)
 def program(monkeypatch):
     monkeypatch.setattr(child_module, "PROGRAM", PROGRAM)
-    monkeypatch.setenv("PYTHONPATH", os.pathsep.join(sys.path))
 
 
 @pytest.fixture

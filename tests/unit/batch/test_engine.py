@@ -1,9 +1,7 @@
 """Laws of a batch: each job has exactly one row, and what is done is not done again."""
 
-import os
 import shutil
 import sqlite3
-import sys
 from collections import Counter
 
 import pytest
@@ -18,7 +16,6 @@ from support.batch_jobs import PROGRAM, make_job
 @pytest.fixture(autouse=True)
 def program(monkeypatch):
     monkeypatch.setattr(child, "PROGRAM", PROGRAM)
-    monkeypatch.setenv("PYTHONPATH", os.pathsep.join(sys.path))
 
 
 def run(jobs, out, workers=2, **options):
