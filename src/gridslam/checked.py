@@ -90,8 +90,7 @@ def _check_calls(function: Callable[..., Any]) -> Callable[..., Any]:
     def check(*args: Any, **kwargs: Any) -> Any:  # noqa: ANN401 whatever the function takes
         if _is_within.get():
             return function(*args, **kwargs)
-        if begins_later or _signature(function).noted:
-            _require_arguments(function, args, kwargs, of_noted=not begins_later)
+        (_require_arguments if begins_later else _require_noted)(function, args, kwargs)
         before = _is_within.set(True)
         try:
             return function(*args, **kwargs)
@@ -131,19 +130,24 @@ def _signature(function: Callable[..., Any]) -> _Signature:
     return _Signature(inspect.signature(function), hints, noted, "'self'" in repr(hints))
 
 
-def _require_arguments(
-    function: Callable[..., Any], args: tuple[Any, ...], kwargs: dict[str, Any], *, of_noted: bool = False
-) -> None:
-    """Raise ArgumentError where an argument does not match its annotation; `of_noted`: an array or a number with notes.
-
-    TypeError where the function has no such arguments.
-    """
+def _require_noted(function: Callable[..., Any], args: tuple[Any, ...], kwargs: dict[str, Any]) -> None:
+    """Raise ArgumentError where an array or a number does not match an annotation with notes."""
     signature, hints, noted, measures_self = _signature(function)
+    if not noted:
+        return
+    sizes = {"self": len(args[0])} if measures_self else {}
+    for name, value in (*zip(signature.parameters, args, strict=False), *kwargs.items()):
+        is_measured = isinstance(value, _MEASURED) and not isinstance(value, bool)
+        if name in noted and is_measured and value is not signature.parameters[name].default:
+            _require(name, value, hints[name], sizes)
+
+
+def _require_arguments(function: Callable[..., Any], args: tuple[Any, ...], kwargs: dict[str, Any]) -> None:
+    """Raise ArgumentError where an argument does not match its annotation, TypeError where there is none such."""
+    signature, hints, _, measures_self = _signature(function)
     arguments = signature.bind(*args, **kwargs).arguments
     sizes = {"self": len(arguments["self"])} if measures_self else {}
     for name, value in arguments.items():
-        if of_noted and name not in noted:
-            continue
         kind = signature.parameters[name].kind
         values = (
             value
@@ -153,8 +157,6 @@ def _require_arguments(
             else (value,)
         )
         for each in values:
-            if of_noted and (not isinstance(each, _MEASURED) or isinstance(each, bool)):
-                continue
             if each is not signature.parameters[name].default:
                 _require(name, each, hints.get(name, Any), sizes)
 
