@@ -13,6 +13,7 @@ import time
 from pathlib import Path
 
 from gridslam.batch.job import Job, compute_key
+from gridslam.cli import find_start_s
 from gridslam.errors import GridslamError, InputError
 from gridslam.io.output import OutputFolder
 
@@ -55,6 +56,11 @@ def write_number(arguments):
     print("a line of output", file=sys.stderr)
     costs = {"time": {"cpu_s": time.process_time()}, "peak_memory_bytes": 10**8}
     return {"schema": "test.number/1", "number": arguments["number"], **costs}
+
+
+def describe_process(arguments):
+    """State what is imported before the job imports anything, and when the process began."""
+    return {"modules": sorted(sys.modules), "start_s": find_start_s()}
 
 
 def reject(arguments):

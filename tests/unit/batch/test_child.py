@@ -1,5 +1,6 @@
 """A job in a child process: whatever becomes of it is a row with a name."""
 
+import multiprocessing
 import os
 import threading
 import time
@@ -55,6 +56,15 @@ def test_a_job_that_is_done_has_its_document_its_files_and_its_costs(run, tmp_pa
     assert row["cpu_s"] > 0
     assert 10e6 < row["peak_memory_bytes"] < 1e9
     assert sorted(path.name for path in (tmp_path / "a").iterdir()) == ["number.txt", "square.txt"]
+
+
+@pytest.mark.skipif("forkserver" not in multiprocessing.get_all_start_methods(), reason="needs fork")
+def test_a_child_begins_with_all_that_it_needs_and_its_time_is_its_own(run):
+    run("write_number", number=3)  # by then there is the server
+    began_s = time.perf_counter()
+    document = run("describe_process")["document"]
+    assert set(child_module._PRELOADED) <= set(document["modules"])
+    assert document["start_s"] >= began_s
 
 
 @pytest.mark.parametrize(
