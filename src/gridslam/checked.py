@@ -135,7 +135,7 @@ def _require_noted(function: Callable[..., Any], args: tuple[Any, ...], kwargs: 
     signature, hints, noted, measures_self = _signature(function)
     if not noted:
         return
-    sizes = {"self": len(args[0])} if measures_self else {}
+    sizes = {"self": len(args[0])} if measures_self and args else {}
     for name, value in (*zip(signature.parameters, args, strict=False), *kwargs.items()):
         is_measured = isinstance(value, _MEASURED) and not isinstance(value, bool)
         if name in noted and is_measured and value is not signature.parameters[name].default:

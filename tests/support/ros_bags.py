@@ -145,7 +145,7 @@ class Maker:
 
 @cache
 def _maker(ros1: bool) -> Maker:
-    """As each compiles the types of messages anew."""
+    """Return a maker that all bags share: each compiles the types of messages."""
     return Maker(ros1)
 
 

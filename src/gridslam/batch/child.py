@@ -26,15 +26,22 @@ from gridslam.io.output import remove_abandoned
 PROGRAM: Final = "gridslam.cli.main"
 """Module whose function `main` runs the words of a command line and returns an exit status."""
 _PRELOADED: Final = (
-    *(PROGRAM, "gridslam.cli.session_options", "gridslam.cli.map", "gridslam.cli.localize", "gridslam.cli.evaluate"),
-    *("gridslam.viz", "scipy.sparse.csgraph", "scipy.special", "qdldl"),
+    PROGRAM,
+    "gridslam.cli.session_options",
+    "gridslam.cli.map",
+    "gridslam.cli.localize",
+    "gridslam.cli.evaluate",
+    "gridslam.viz",
+    "scipy.sparse.csgraph",  # these three only close loops
+    "scipy.special",
+    "qdldl",
 )
-"""Imported once, by the server from which children are forked: a second that a child has not to spend."""
+"""Modules that the server imports once, from which children are forked: each would need a second for them."""
 _CONTEXT: Any = multiprocessing.get_context(
     "forkserver" if "forkserver" in multiprocessing.get_all_start_methods() else None
 )
 _STARTING = threading.Lock()
-"""Held where children are started or looked for: multiprocessing looks for all of them when it starts one."""
+"""Held to start a child or to read its exit status: a start reads those of all others, and each can be read once."""
 _LOOK_S = 0.05
 _TAIL_BYTES = 4000  # of the output of a job
 _DONE: Final = (0, 3)  # exit statuses: 3 is the doctor's of a log with faults

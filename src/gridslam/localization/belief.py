@@ -59,12 +59,12 @@ def estimate_pose(poses: FloatArray, weights: FloatArray) -> PoseEstimate:
     centre = poses[np.flatnonzero(near)[weights[near].argmax()]]
     away = _relative_coordinates(places, centre)
     for _ in range(_SHIFTS):
-        shifted_by = near
+        before = near
         shares = np.where(near, weights, 0.0)
         centre = wrap_headings(centre + np.einsum("in,n->i", away, shares) / shares.sum())
         away = _relative_coordinates(places, centre)
         near = _is_in_cluster(away)
-        if np.array_equal(near, shifted_by):  # whose mean the centre is already
+        if np.array_equal(near, before):  # the centre is their mean
             break
     mass = float(weights[near].sum())
     if mass > 0.5:

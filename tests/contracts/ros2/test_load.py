@@ -50,7 +50,7 @@ def test_transforms_at_200_hz_and_scans_at_40_hz(start, robot, drive, clock_hz, 
 
 
 def test_no_scan_is_lost_where_the_machine_pauses_the_node(start, robot, drive):
-    """All that has come in the pause comes at once; of twice as many Fast DDS's shared memory may lose some."""
+    """The 80 scans of the pause come at once; of 200, and beside other tests of 160, some are lost on the way."""
     node = start()
     assert robot.meets()
     for after_s, number in ((0.5, signal.SIGSTOP), (1.3, signal.SIGCONT)):

@@ -10,6 +10,7 @@ import pytest
 from gridslam.batch import child as child_module
 from gridslam.batch.child import run_job
 from gridslam.batch.journal import COLUMNS
+from gridslam.slam.loop_closure.loop_closure import LIBRARIES
 from support.batch_jobs import PROGRAM, make_job
 
 pytestmark = pytest.mark.skipif(not hasattr(os, "killpg"), reason="needs process groups")
@@ -63,7 +64,7 @@ def test_a_child_begins_with_all_that_it_needs_and_its_time_is_its_own(run):
     run("write_number", number=3)  # by then there is the server
     began_s = time.perf_counter()
     document = run("describe_process")["document"]
-    assert set(child_module._PRELOADED) <= set(document["modules"])
+    assert {*child_module._PRELOADED, *LIBRARIES} <= set(document["modules"])
     assert document["start_s"] >= began_s
 
 
