@@ -10,7 +10,7 @@ import pytest
 from gridslam.evaluation import absolute_errors
 from gridslam.geometry.se2 import between, compose, rotate_covariances
 from gridslam.matching.surfaces import Surfaces
-from gridslam.slam.full_slam import full_trajectory
+from gridslam.slam.full_slam import full_trajectory, surface_adjustment
 from gridslam.slam.full_slam.full_trajectory import (
     TrackedScans,
     drift_covariances,
@@ -74,6 +74,33 @@ def test_key_scans_end_up_where_their_surfaces_fit(seen, archive, seed):
 def adjust(graph, batch):
     surfaces = Surfaces.of(batch)
     return adjust_key_scans(graph, surfaces, surfaces, np.zeros(len(graph.poses), np.int64))
+
+
+def test_rounds_are_repeated_until_visits_are_together(seen, archive, monkeypatch):
+    """Two laps whose increments all turn by 0.2 degrees too much, far more than they are said to err by together.
+
+    With a single round for each gate the visits stay metres apart.
+    """
+    truth = seen.truth
+    turned = compose(between(truth[:-1], truth[1:]), np.array([0.0, 0.0, 0.003]))
+    poses = [truth[0]]
+    for increment in turned:
+        poses.append(compose(poses[-1], increment))
+    edges = np.stack([np.arange(len(turned)), np.arange(1, len(truth))], axis=1)
+    information = np.tile(np.diag(1 / np.square([0.02, 0.02, 0.005])), (len(turned), 1, 1))
+    graph = PoseGraph.of(np.array(poses), edges, turned, information)
+    batch = archive.batch(archive.keys)
+
+    def apart_m(poses):
+        """Greatest error of where the second lap has a key scan, seen from one of the first lap near it."""
+        away = np.hypot(*(truth[:, None, :2] - truth[None, :, :2]).T)
+        first, second = np.nonzero(np.triu((away < 1.0).T, k=40))
+        return np.abs(between(poses[first], poses[second]) - between(truth[first], truth[second]))[:, :2].max()
+
+    assert apart_m(graph.poses) > 4.0
+    assert apart_m(adjust(graph, batch)[0].poses) < 0.03
+    monkeypatch.setattr(surface_adjustment, "_MOST_ROUNDS", 1)
+    assert apart_m(adjust(graph, batch)[0].poses) > 2.0
 
 
 def test_covariances_of_the_adjusted_graph_are_of_the_errors_size(seen, archive):

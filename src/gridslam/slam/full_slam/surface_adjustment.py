@@ -13,8 +13,13 @@ from gridslam.slam.pose_graph.graph_slam import GraphSlam
 from gridslam.slam.pose_graph.pose_graph import PoseGraph
 from gridslam.types import FloatArray, IntArray
 
-_GATES_M = 0.4, 0.08, 0.08
-"""Largest residual of a point, in each round."""
+_COARSE_M, _FINE_M = 0.4, 0.08
+"""Largest residual of a point, in the first rounds and in the last ones."""
+_SETTLED_M = 0.02
+"""Rounds end once no pair of key scans is moved apart by more, the first ones once the fine gate holds them all."""
+_MOST_ROUNDS = 6
+"""With each gate. Where a loop is closed that had opened by half a metre one or two do not suffice: visits that cross
+each other share few points, and what they pull along is stiff."""
 _SUCCESSIVE = 3
 """Key scans just before one that it is matched with; the others are spread over all that are near."""
 _SCALE_RATIO = 0.25
@@ -32,6 +37,7 @@ LINE_REACH_M = 0.15
 """Lines are fitted to the points so near to one: at a metre five neighbouring beams give a normal that is noisy by 9
 degrees."""
 _SCANS_AT_A_TIME = 1024
+_SCAN_ROUNDS = 2
 _KEY_SCANS_BESIDE = 2
 """On either side of a scan."""
 _SIGMA_M = 0.02
@@ -78,14 +84,24 @@ def adjust_key_scans(
     pairs = select_pairs(graph.poses)
     pairs = pairs[np.diff(components[pairs])[:, 0] == 0]
     poses, variance = graph.poses, _SIGMA_M**2
-    for gate_m in _GATES_M:
-        whole = _measure(graph.with_poses(poses), surfaces, pairs, gate_m, variance, threads)
-        pairs = whole.edges[len(graph.edges) :]  # what does not see the other's surfaces does not in the next round
-        if not len(pairs):
-            break
-        poses = GraphSlam(first_guess="given", robust=None, max_iterations=1).solve(whole).poses
-        variance = _measure_variance(fives, poses, pairs)
-    return _measure(graph.with_poses(poses), surfaces, pairs, _GATES_M[-1], variance, threads), variance
+    for gate_m, settled_m in ((_COARSE_M, _FINE_M), (_FINE_M, _SETTLED_M)):
+        for _ in range(_MOST_ROUNDS):
+            whole = _measure(graph.with_poses(poses), surfaces, pairs, gate_m, variance, threads)
+            pairs = whole.edges[len(graph.edges) :]  # what does not see the other's surfaces does not in the next round
+            if not len(pairs):
+                break
+            before, poses = poses, GraphSlam(first_guess="given", robust=None, max_iterations=1).solve(whole).poses
+            variance = _measure_variance(fives, poses, pairs)
+            if _moved_apart_m(pairs, before, poses) < settled_m:
+                break
+    return _measure(graph.with_poses(poses), surfaces, pairs, _FINE_M, variance, threads), variance
+
+
+def _moved_apart_m(pairs: IntArray, before: FloatArray, after: FloatArray) -> float:
+    """Return the greatest change (m) of where one of a pair (P, 2) of key scans is seen from the other."""
+    from_, to = pairs.T
+    change = between(after[from_], after[to]) - between(before[from_], before[to])
+    return float(np.hypot(change[:, 0], change[:, 1]).max())
 
 
 def share_information(pairs: IntArray) -> FloatArray:
@@ -100,7 +116,7 @@ def share_information(pairs: IntArray) -> FloatArray:
 def _measure_variance(fives: Surfaces, poses: FloatArray, pairs: IntArray) -> float:
     """Return the variance (m^2) of a point that is hit head on."""
     some = pairs[:: -(-len(pairs) // _NOISE_PAIRS) or 1]
-    found = fives.match(poses, some, _GATES_M[-1], _FAR_M, by_incidence=True)
+    found = fives.match(poses, some, _FINE_M, _FAR_M, by_incidence=True)
     points = max(int(found.counts.sum()), 1)
     mean_weight = float(np.trace(found.information[:, :2, :2].sum(axis=0))) / points
     return max(0.5 * mean_weight * float(found.squares.sum()) / points, _LEAST_SIGMA_M**2)
@@ -170,10 +186,10 @@ def match_scans(
         at = poses[own]
         far = np.ones(len(own), np.bool_)  # from where they were before the step, so that they are matched again
         of_own = np.zeros((len(own), 3, 3))
-        for gate_m in _GATES_M[-2:]:
+        for _ in range(_SCAN_ROUNDS):
             seen_from = np.concatenate([key_poses[low:high], at])
             found = whole.match(
-                seen_from, pairs[far].reshape(-1, 2), gate_m, _SIGMA_M, both=False, by_incidence=True, threads=threads
+                seen_from, pairs[far].reshape(-1, 2), _FINE_M, _SIGMA_M, both=False, by_incidence=True, threads=threads
             )
             weight = (found.counts >= _MIN_POINTS)[:, None] / (2 * _SIGMA_M**2)
             shape = (-1, 2 * _KEY_SCANS_BESIDE, 3)
