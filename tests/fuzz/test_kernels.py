@@ -59,7 +59,10 @@ def look(maps, rng):
     directions = np.column_stack([np.cos(poses[:, 2]), np.sin(poses[:, 2])])
     maps.cast_rays(rows, poses, beams.origin, directions, float(rng.choice([0.0, 1.0, 30.0])))
     priors = np.abs(some_numbers(rng, (4, 3, 3), 1.0))
-    maps.match(rows, poses, priors, beams.ends, 10, *GaussNewton()._settings(maps))  # however few beams there are
+    _, _, *settings = GaussNewton()._settings(maps)
+    maps.match(rows, poses, priors, beams.ends, 10, 0, *settings)  # however few beams there are
+    thin_m = float(rng.choice([0.0, 0.1, 1e-300]))
+    maps.match_pose(0, tuple(poses[0]), (1.0, 0.0, 0.0, 1.0, 0.0, 1.0), beams.ends, thin_m, 10, 0, *settings)
     field, _ = maps.field(0, most_cells=512)
     table = FieldTable.of(np.pad(field.astype(np.float32), 1), some_numbers(rng, 2, 1.0), maps.resolution_m)
     table.sums(poses, beams.ends, maps.threads)

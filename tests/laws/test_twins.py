@@ -311,7 +311,7 @@ def test_distances_and_ray_casting(seed):
 
 
 def settings_of(maps, passes, least, lines):
-    return passes, 2.0, 2.0, 0.1, 0.02, 2e-4, maps.reach_cells, least, lines, 2
+    return passes, 1, 2.0, 2.0, 0.1, 0.02, 2e-4, maps.reach_cells, least, lines, 2
 
 
 @pytest.mark.parametrize("seed", SEEDS)
@@ -424,7 +424,9 @@ def test_matches_without_beams_stay_at_the_guess():
 
 @pytest.mark.parametrize("seed", range(5))
 @pytest.mark.parametrize("passes", [0, 2, 10])
-def test_one_pose_is_matched_as_many_are(seed, passes):
+@pytest.mark.parametrize("thin_m", [0.0, 0.5])
+def test_one_pose_is_matched_as_many_are(seed, passes, thin_m):
+    """Thinned, as the ends that are left are; all ends are scored at the pose found."""
     rng = np.random.default_rng(seed)
     maps = random_maps(rng)
     truth, ends = random_poses(rng), random_ends(rng)
@@ -433,14 +435,26 @@ def test_one_pose_is_matched_as_many_are(seed, passes):
     xx, xy, xt, yy, yt, tt = prior
     whole = np.array([[[xx, xy, xt], [xy, yy, yt], [xt, yt, tt]]])
     *settings, threads = settings_of(maps, passes, 0.02, True)
+    kept = ends
+    if thin_m:
+        squares = np.floor(ends / thin_m)
+        kept = ends[[j == 0 or not np.array_equal(squares[j], squares[j - 1]) for j in range(len(ends))]]
+        assert 10 < len(kept) < len(ends)
     for kernels in (compiled, reference):
         for row, pose in enumerate(truth.tolist()):
             guess = np.array([pose])
-            many = kernels.match(*maps._view, ROWS[row : row + 1], guess, whole, ends, CELL, *settings, threads)
-            pose, information, score = kernels.match_pose(*maps._view, row, tuple(pose), prior, ends, CELL, *settings)
+            view = *maps._view, ROWS[row : row + 1]
+            many = kernels.match(*view, guess, whole, kept, CELL, *settings, threads)
+            numbers = kernels.match_pose(*maps._view, row, tuple(pose), prior, ends, thin_m, CELL, *settings)
+            pose, information, score, agreeing = numbers
             np.testing.assert_array_equal(pose, many[0][0])
             np.testing.assert_array_equal(information, many[1][0][np.triu_indices(3)])
             assert score == many[2][0]
+            if thin_m:
+                all_ends = kernels.match(*view, many[0], whole, ends, CELL, *settings_of(maps, 0, 0.02, True))
+                assert agreeing == all_ends[2][0]
+            else:
+                assert agreeing == score
 
 
 @pytest.mark.parametrize("seed", range(5))

@@ -320,11 +320,11 @@ class TileMaps:
         return found
 
     def match_pose(
-        self, row: _Row, guess: Pose, prior: Information, ends: Points, *settings: float | bool
-    ) -> tuple[Pose, Information, float]:
-        """`match` of one guess to map `row`, by numbers: pose, information and score."""
-        found: tuple[Pose, Information, float] = backend.match_pose(
-            *self._view, row, guess, prior, ends, self.resolution_m, *settings
+        self, row: _Row, guess: Pose, prior: Information, ends: Points, thin_m: float, *settings: float | bool
+    ) -> tuple[Pose, Information, float, float]:
+        """`match` of one guess to map `row`, by numbers; see `gridslam.matching.gauss_newton.PoseMatch`."""
+        found: tuple[Pose, Information, float, float] = backend.match_pose(
+            *self._view, row, guess, prior, ends, thin_m, self.resolution_m, *settings
         )
         return found
 

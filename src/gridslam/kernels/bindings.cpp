@@ -163,8 +163,9 @@ auto py_update(GRIDSLAM_MAPS, GRIDSLAM_UPDATE) {
 }
 
 auto py_match(GRIDSLAM_MAPS, Rows rows, Poses guesses, Priors priors, Points ends, double resolution,
-              int max_iterations, double cauchy_cells, double max_step_cells, double max_step_rad, double stop_cells,
-              double stop_rad, double reach_cells, double min_information, bool point_to_line, int threads) {
+              int max_iterations, int min_ends, double cauchy_cells, double max_step_cells, double max_step_rad,
+              double stop_cells, double stop_rad, double reach_cells, double min_information, bool point_to_line,
+              int threads) {
   const Maps m = view(roots, first, pages, log_odds, field);
   const size_t k = guesses.shape(0);
   require_rows(rows, k, roots.shape(0));
@@ -176,7 +177,7 @@ auto py_match(GRIDSLAM_MAPS, Rows rows, Poses guesses, Priors priors, Points end
     nb::gil_scoped_release release;
     match(m, rows.data(), guesses.data(), priors.data(), static_cast<int>(k), ends.data(),
           static_cast<int>(ends.shape(0)), resolution,
-          {max_iterations, cauchy_cells, max_step_cells, max_step_rad, stop_cells, stop_rad, reach_cells,
+          {max_iterations, min_ends, cauchy_cells, max_step_cells, max_step_rad, stop_cells, stop_rad, reach_cells,
            min_information, point_to_line},
           threads, poses.data(), information.data(), score.data());
   }
@@ -185,24 +186,23 @@ auto py_match(GRIDSLAM_MAPS, Rows rows, Poses guesses, Priors priors, Points end
 
 // One pose, without an array for each of its numbers.
 auto py_match_pose(GRIDSLAM_MAPS, int row, std::array<double, 3> guess, std::array<double, 6> prior, Points ends,
-                   double resolution, int max_iterations, double cauchy_cells, double max_step_cells,
-                   double max_step_rad, double stop_cells, double stop_rad, double reach_cells, double min_information,
-                   bool point_to_line) {
+                   double thin_m, double resolution, int max_iterations, int min_ends, double cauchy_cells,
+                   double max_step_cells, double max_step_rad, double stop_cells, double stop_rad, double reach_cells,
+                   double min_information, bool point_to_line) {
   const Maps m = view(roots, first, pages, log_odds, field);
   require(row >= 0 && static_cast<size_t>(row) < roots.shape(0), "row: expected a map that is there");
-  const int32_t rows[1] = {row};
   const auto& [xx, xy, xt, yy, yt, tt] = prior;
   const double whole[9] = {xx, xy, xt, xy, yy, yt, xt, yt, tt};
-  double pose[3], h[9], score;
+  double pose[3], h[9], score, agreeing;
   {
     nb::gil_scoped_release release;
-    match(m, rows, guess.data(), whole, 1, ends.data(), static_cast<int>(ends.shape(0)), resolution,
-          {max_iterations, cauchy_cells, max_step_cells, max_step_rad, stop_cells, stop_rad, reach_cells,
-           min_information, point_to_line},
-          1, pose, h, &score);
+    match_pose(m, row, guess.data(), whole, ends.data(), static_cast<int>(ends.shape(0)), thin_m, resolution,
+               {max_iterations, min_ends, cauchy_cells, max_step_cells, max_step_rad, stop_cells, stop_rad, reach_cells,
+                min_information, point_to_line},
+               pose, h, &score, &agreeing);
   }
   return std::make_tuple(std::make_tuple(pose[0], pose[1], pose[2]),
-                         std::make_tuple(h[0], h[1], h[2], h[4], h[5], h[8]), score);
+                         std::make_tuple(h[0], h[1], h[2], h[4], h[5], h[8]), score, agreeing);
 }
 
 auto py_distances(GRIDSLAM_MAPS, Rows rows, Poses poses, Points ends, double resolution, double reach_cells,
@@ -374,11 +374,11 @@ NB_MODULE(_compiled, m) {
         nb::arg("tile_refs").noconvert(), "free_pages"_a, "free_tiles"_a, "tiles_to_write"_a);
   m.def("update", &py_update, GRIDSLAM_MAPS_ARGS, GRIDSLAM_UPDATE_ARGS);
   m.def("match", &py_match, GRIDSLAM_MAPS_ARGS, "rows"_a, "guesses"_a, "priors"_a, "ends"_a, "resolution"_a,
-        "max_iterations"_a, "cauchy_cells"_a, "max_step_cells"_a, "max_step_rad"_a, "stop_cells"_a, "stop_rad"_a,
-        "reach_cells"_a, "min_information"_a, "point_to_line"_a, "threads"_a);
-  m.def("match_pose", &py_match_pose, GRIDSLAM_MAPS_ARGS, "row"_a, "guess"_a, "prior"_a, "ends"_a, "resolution"_a,
-        "max_iterations"_a, "cauchy_cells"_a, "max_step_cells"_a, "max_step_rad"_a, "stop_cells"_a, "stop_rad"_a,
-        "reach_cells"_a, "min_information"_a, "point_to_line"_a);
+        "max_iterations"_a, "min_ends"_a, "cauchy_cells"_a, "max_step_cells"_a, "max_step_rad"_a, "stop_cells"_a,
+        "stop_rad"_a, "reach_cells"_a, "min_information"_a, "point_to_line"_a, "threads"_a);
+  m.def("match_pose", &py_match_pose, GRIDSLAM_MAPS_ARGS, "row"_a, "guess"_a, "prior"_a, "ends"_a, "thin_m"_a,
+        "resolution"_a, "max_iterations"_a, "min_ends"_a, "cauchy_cells"_a, "max_step_cells"_a, "max_step_rad"_a,
+        "stop_cells"_a, "stop_rad"_a, "reach_cells"_a, "min_information"_a, "point_to_line"_a);
   m.def("distances", &py_distances, GRIDSLAM_MAPS_ARGS, "rows"_a, "poses"_a, "ends"_a, "resolution"_a, "reach_cells"_a,
         "threads"_a);
   m.def("known_cells", &py_known_cells, GRIDSLAM_MAPS_ARGS, "row"_a, "pose"_a, "points"_a, "resolution"_a);

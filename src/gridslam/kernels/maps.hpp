@@ -193,7 +193,7 @@ struct Scan {
 constexpr int kOutside = -1, kNoRoom = -2;
 
 struct MatchSettings {
-  int max_iterations;
+  int max_iterations, min_ends;  // with fewer ends the guess is kept
   double cauchy_cells, max_step_cells, max_step_rad, stop_cells, stop_rad, reach_cells;
   double min_information;  // smallest eigenvalue of the position's information, per agreeing beam, that counts as
                            // determined
@@ -202,6 +202,9 @@ struct MatchSettings {
 void match(const Maps& m, const int32_t* rows, const double* guesses, const double* priors, int k, const double* ends,
            int b, double resolution, const MatchSettings& s, int threads, double* poses, double* information,
            double* score);
+void match_pose(const Maps& m, int row, const double* guess, const double* prior, const double* ends, int b,
+                double thin_m, double resolution, const MatchSettings& s, double* pose, double* information,
+                double* score, double* agreeing);
 void distances(const Maps& m, const int32_t* rows, const double* poses, int k, const double* ends, int b,
                double resolution, double reach_cells, int threads, float* out);
 void known_cells(const Maps& m, int row, const double* pose, const double* points, int b, double resolution, bool* out);

@@ -189,6 +189,7 @@ double wrapped(double a) { return a - 2 * kPi * std::floor((a + kPi) / (2 * kPi)
 
 void match_one(const Maps& m, int row, const double* guess, const double* prior, const Ends& ends, const Walls& walls,
                double resolution, const MatchSettings& s, double* pose, double* information, double* score) {
+  const int passes = ends.n < s.min_ends ? 0 : s.max_iterations;
   const double scale = 1.0 / resolution;
   // The prior weighs against residuals in metres, and both are divided by the squared resolution here.
   const double p[6] = {prior[0], prior[1], prior[2] * scale, prior[4], prior[5] * scale, prior[8] * scale * scale};
@@ -197,7 +198,7 @@ void match_one(const Maps& m, int row, const double* guess, const double* prior,
   const int32_t* root = m.root(row);
   Normal n;
   bool current = false;
-  for (int pass = 0; pass < s.max_iterations; ++pass) {
+  for (int pass = 0; pass < passes; ++pass) {
     n = linearize(m, root, x, y, theta, ends, walls, s);
     current = true;
     double h[6] = {p[0], p[1], p[2], p[3], p[4], p[5]};
@@ -225,6 +226,20 @@ void match_one(const Maps& m, int row, const double* guess, const double* prior,
   information[5] = information[7] = n.h12 * resolution;
 }
 
+// The first of successive ends that lie in one square of this side.
+std::vector<double> thin(const double* ends, int b, double side) {
+  std::vector<double> kept;
+  kept.reserve(2 * b);
+  double column = std::nan(""), row = column;  // the square of the end before
+  for (int j = 0; j < b; ++j) {
+    const double x = ends[2 * j], y = ends[2 * j + 1];
+    const double own_column = std::floor(x / side), own_row = std::floor(y / side);
+    if (own_column != column || own_row != row) kept.insert(kept.end(), {x, y});
+    column = own_column, row = own_row;
+  }
+  return kept;
+}
+
 }  // namespace
 
 void match(const Maps& m, const int32_t* rows, const double* guesses, const double* priors, int k, const double* ends,
@@ -236,6 +251,24 @@ void match(const Maps& m, const int32_t* rows, const double* guesses, const doub
     match_one(m, rows[i], guesses + 3 * i, priors + 9 * i, in_cells, walls, resolution, s, poses + 3 * i,
               information + 9 * i, score + i);
   });
+}
+
+void match_pose(const Maps& m, int row, const double* guess, const double* prior, const double* ends, int b,
+                double thin_m, double resolution, const MatchSettings& s, double* pose, double* information,
+                double* score, double* agreeing) {
+  const int32_t rows[1] = {row};
+  if (!(thin_m > 0)) {
+    match(m, rows, guess, prior, 1, ends, b, resolution, s, 1, pose, information, score);
+    *agreeing = *score;
+    return;
+  }
+  const std::vector<double> kept = thin(ends, b, thin_m);
+  match(m, rows, guess, prior, 1, kept.data(), static_cast<int>(kept.size() / 2), resolution, s, 1, pose, information,
+        score);
+  MatchSettings evaluating = s;
+  evaluating.max_iterations = 0, evaluating.point_to_line = false;
+  double same_pose[3], unused[9];
+  match(m, rows, pose, prior, 1, ends, b, resolution, evaluating, 1, same_pose, unused, agreeing);
 }
 
 }  // namespace gridslam

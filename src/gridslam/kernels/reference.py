@@ -237,6 +237,7 @@ def match(
     ends: FloatArray,
     resolution: float,
     max_iterations: int,
+    min_ends: int,
     cauchy_cells: float,
     max_step_cells: float,
     max_step_rad: float,
@@ -252,7 +253,8 @@ def match(
     Minimizes sum_b c^2 log(1 + (d_b / c)^2) + e^T P e with d_b the distance and c = `cauchy_cells` in cells, e the way
     from the guess and P its information, in m and rad, by the weights w_b = 1 / (1 + (d_b / c)^2). A step is clipped to
     `max_step_cells` and `max_step_rad`; one below both `stop_cells` and `stop_rad` is the last. Along a direction with
-    less information than `min_information` per agreeing beam the guess is held. If `point_to_line`, ends on a straight
+    less information than `min_information` per agreeing beam the guess is held, and with fewer ends than `min_ends`
+    altogether. If `point_to_line`, ends on a straight
     wall count only across it, and those in unknown cells whose nearest obstacle lies along their wall rather than
     across are ignored entirely.
 
@@ -274,7 +276,7 @@ def match(
     pose = guess.copy()
     going = np.flatnonzero(np.isfinite(guesses).all(axis=1))
     settings = ends / resolution, _walls(ends * (1 / resolution), point_to_line), cauchy_cells, reach_cells
-    for _ in range(max_iterations):
+    for _ in range(max_iterations if len(ends) >= min_ends else 0):
         lookup = _Field(roots, first, pages, field, rows[going])
         h, g, score = _linearize(lookup, log_odds, pose[going], *settings)
         held = prior[going] + _pin_degenerate(h, min_information * score)
@@ -303,20 +305,34 @@ def match_pose(
     guess: tuple[float, float, float],
     prior: tuple[float, float, float, float, float, float],
     ends: FloatArray,
+    thin_m: float,
+    resolution: float,
+    max_iterations: int,
     *settings: Any,  # noqa: ANN401 those of `match`
-) -> tuple[tuple[float, ...], tuple[float, ...], float]:
-    """`match` of one `guess` to map `row`, in numbers: pose, information and score.
+) -> tuple[tuple[float, ...], tuple[float, ...], float, float]:
+    """`match` of one `guess` to map `row`, in numbers: pose, information and score, and the score of all ends.
 
-    The `settings` are those of `match`, from the resolution to `point_to_line`. Of the symmetric matrices `prior` and
-    information the upper triangle, row by row.
+    The `settings` are those of `match`, up to `point_to_line`. Of the symmetric matrices `prior` and information the
+    upper triangle, row by row. Of successive ends in a square of the side `thin_m` the first alone is matched; where
+    that is 0, each is.
     """
     upper = np.triu_indices(3)
     whole = np.zeros((3, 3))
     whole[upper] = whole.T[upper] = prior
-    rows, guesses, priors = np.array([row], np.int32), np.array([guess]), whole[None]
-    given: list[Any] = [roots, first, pages, log_odds, field, rows, guesses, priors, ends, *settings, 1]
-    poses, information, score = match(*given)
-    return tuple(poses[0].tolist()), tuple(information[0][upper].tolist()), float(score[0])
+    maps = roots, first, pages, log_odds, field, np.array([row], np.int32)
+
+    def match_from(begin: FloatArray, points: FloatArray, passes: int) -> tuple[FloatArray, FloatArray, FloatArray]:
+        given: list[Any] = [*maps, begin, whole[None], points, resolution, passes, *settings, 1]
+        return match(*given)
+
+    kept = ends
+    if thin_m > 0:
+        squares = np.floor(ends / thin_m)
+        kept = ends[np.append(len(ends) > 0, (squares[1:] != squares[:-1]).any(axis=1))[: len(ends)]]
+    poses, information, score = match_from(np.array([guess]), kept, max_iterations)
+    agreeing = match_from(poses, ends, 0)[2] if thin_m > 0 else score
+    numbers = tuple(poses[0].tolist()), tuple(information[0][upper].tolist())
+    return *numbers, float(score[0]), float(agreeing[0])
 
 
 def _linearize(

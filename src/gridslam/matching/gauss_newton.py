@@ -14,7 +14,7 @@ from gridslam.checked import checked
 from gridslam.geometry.single_pose import Information, Pose
 from gridslam.grid.tiles import TileMaps
 from gridslam.parameters import bounded, parameters
-from gridslam.types import BeamEnds, FloatArray, Int32Array, Match, Poses, Rows, StoredScan
+from gridslam.types import BeamEnds, FloatArray, Int32Array, Match, Poses, Rows
 
 MIN_INFORMATION = 0.005
 """Minimum eigenvalue of the position information per inlier beam of a non-degenerate match."""
@@ -26,7 +26,8 @@ class PoseMatch(NamedTuple):
 
     pose: Pose  # where the scan fits best
     information: Information  # of the beams' distances to the map, without the prior
-    score: float  # how many beams agree with the map
+    score: float  # how many of the beams that were matched agree with the map
+    agreeing: float  # how many of all beams do
 
     def degenerate_direction(self, least: float) -> tuple[float, float] | None:
         """Unit vector along which the scan did not determine the position; see `GaussNewton.min_information`."""
@@ -88,18 +89,26 @@ class GaussNewton:
         self, maps: TileMaps, rows: Rows, guesses: Poses, priors: Annotated[FloatArray, "K", 3, 3], beams: BeamEnds
     ) -> Match:
         """Match the scan to maps `rows` (K,) from `guesses` (K, 3) with prior information (K, 3, 3)."""
-        passes = self.max_iterations if len(beams) >= self.min_beams else 0
-        return Match(*maps.match(rows, guesses, priors, beams.ends, passes, *self._settings(maps)))
+        return Match(*maps.match(rows, guesses, priors, beams.ends, *self._settings(maps)))
 
-    def match_pose(self, maps: TileMaps, row: int, guess: Pose, prior: Information, beams: BeamEnds) -> PoseMatch:
-        """Match the scan to map `row` from one guess: as by a call with K = 1, but without an array for each number."""
-        passes = self.max_iterations if len(beams) >= self.min_beams else 0
-        return PoseMatch(*maps.match_pose(row, guess, prior, beams.ends, passes, *self._settings(maps)))
+    def match_pose(
+        self, maps: TileMaps, row: int, guess: Pose, prior: Information, beams: BeamEnds, thin_m: float = 0.0
+    ) -> PoseMatch:
+        """Match the scan to map `row` from one guess: as by a call with K = 1, but without an array for each number.
+
+        Where `thin_m` is above 0, of successive ends of beams in a square of this side the first alone is matched: they
+        see the same part of an obstacle. What is wrong there is wrong for all of them: a person who walks along, or the
+        end of a wall's mapped part beside a robot that drives backwards. Most beams end near the robot, and would
+        outweigh the few that determine its place along a corridor.
+        """
+        return PoseMatch(*maps.match_pose(row, guess, prior, beams.ends, thin_m, *self._settings(maps)))
 
     def _settings(self, maps: TileMaps) -> tuple[float | bool, ...]:
         """Return the arguments of the kernels, in cells of the maps."""
         cell = maps.resolution_m
         return (
+            self.max_iterations,
+            self.min_beams,
             self.cauchy_m / cell,
             self.max_step_m / cell,
             self.max_step_rad,
@@ -146,19 +155,6 @@ def _degenerate_direction(information: Information, score: float, least: float) 
         return None
     angle = 0.5 * math.atan2(2 * b, a - c)  # of the strongest direction
     return -math.sin(angle), math.cos(angle)
-
-
-def thin(beams: BeamEnds, side_m: float) -> BeamEnds:
-    """Keep one of successive ends of beams in a square of this side: they see the same part of an obstacle.
-
-    What is wrong there is wrong for all of them: a person who walks along, or the end of a wall's mapped part beside a
-    robot that drives backwards. Most beams end near the robot, and would outweigh the few that determine its place
-    along a corridor.
-    """
-    squares = np.floor(beams.ends / side_m).view(np.complex128)[:, 0]
-    is_first = np.ones(len(squares), np.bool_)
-    np.not_equal(squares[1:], squares[:-1], out=is_first[1:])
-    return StoredScan(beams.ends.compress(is_first, axis=0), beams.origin)
 
 
 def cauchy_weights(distances: NDArray[np.float32], scale_m: float) -> NDArray[np.float32]:

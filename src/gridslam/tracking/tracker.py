@@ -24,7 +24,6 @@ from gridslam.matching.gauss_newton import (
     PoseMatch,
     judged_inlier_ratio,
     known_inlier_ratio,
-    thin,
 )
 from gridslam.parameters import Kind, bounded, parameters
 from gridslam.tracking.odometry_calibration import OdometryCalibration
@@ -300,14 +299,13 @@ class Tracker:
         known = self._is_calibrated(state)
         matcher = calibrated(self.matcher) if known else self.matcher
         is_sparse = self.search.is_sparse(state)
-        prior, matched = predicted.prior, beams
+        prior, thin_m = predicted.prior, 0.0
         if known and not is_sparse:
-            prior, matched = predicted.calibrated_prior, thin(beams, matcher.cauchy_m)
-        match = matcher.match_pose(state.maps, state.matched_map, predicted.pose, prior, matched)
+            prior, thin_m = predicted.calibrated_prior, matcher.cauchy_m
+        match = matcher.match_pose(state.maps, state.matched_map, predicted.pose, prior, beams, thin_m)
         pose = match.pose
         count = len(beams)
-        score = _score(state, pose, beams)
-        ratio = score / count
+        ratio = match.agreeing / count
         if ratio < self.min_inlier_ratio and count >= _MANY_BEAMS and not is_sparse:
             # much of what is seen may be new: after a wide turn, or of a narrow laser
             of_known = known_inlier_ratio(state.maps, state.row, np.array(pose), beams.ends, matcher.cauchy_m)
@@ -316,7 +314,7 @@ class Tracker:
             return PoseEstimate(predicted.pose, predicted, matched=True, lost=True)
         stayed = (predicted.pose[0], predicted.pose[1], pose[2])
         if math.hypot(pose[0] - predicted.pose[0], pose[1] - predicted.pose[1]) > self._slip_limit_m(predicted):
-            gain = (score - _score(state, stayed, beams)) / count
+            gain = (match.agreeing - _score(state, stayed, beams)) / count
             if not known:  # once it is, the gain must grow with the distance; unknown cells indicate no slip
                 agreed = [
                     judged_inlier_ratio(state.maps, state.row, np.array(it), beams, matcher.cauchy_m)

@@ -12,9 +12,8 @@ from gridslam.matching.gauss_newton import (
     degenerate_direction,
     judged_inlier_ratio,
     known_inlier_ratio,
-    thin,
 )
-from gridslam.types import LaserScan, ScanGeometry, StoredScan
+from gridslam.types import LaserScan, ScanGeometry
 
 CELL = 0.05
 ROW = np.zeros(1, np.int32)
@@ -193,6 +192,14 @@ def test_beams_that_end_where_nothing_is_mapped_count_only_where_they_pass_throu
 
 
 def test_successive_ends_in_one_square_count_once():
-    ends = np.array([[0.01, 0.01], [0.05, 0.09], [0.11, 0.05], [-0.01, 0.05], [-0.09, 0.01], [0.02, 0.02]])
-    kept = thin(StoredScan(ends, np.zeros(2)), 0.1)
-    assert np.array_equal(kept.ends, ends[[0, 2, 3, 5]])
+    maps, beams = map_of_room(), scan_of_room(np.zeros(3))
+    guess, prior = (0.02, -0.01, 0.005), (1e-9, 0.0, 0.0, 1e-9, 0.0, 1e-9)
+    whole = GaussNewton().match_pose(maps, 0, guess, prior, beams)
+    thinned = GaussNewton().match_pose(maps, 0, guess, prior, beams, thin_m=0.1)
+    squares = np.floor(beams.ends / 0.1)
+    distinct = 1 + np.count_nonzero((squares[1:] != squares[:-1]).any(axis=1))
+    assert distinct < 0.6 * len(beams)
+    assert 0.9 * distinct < thinned.score <= distinct
+    assert thinned.agreeing == pytest.approx(whole.agreeing, rel=0.01)
+    assert whole.agreeing == whole.score
+    np.testing.assert_allclose(thinned.pose, np.zeros(3), rtol=0, atol=0.005)
