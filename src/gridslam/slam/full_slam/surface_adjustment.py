@@ -15,8 +15,9 @@ from gridslam.types import FloatArray, IntArray
 
 _COARSE_M, _FINE_M = 0.4, 0.08
 """Largest residual of a point, in the first rounds and in the last ones."""
-_SETTLED_M = 0.02
-"""Rounds end once no pair of key scans is moved apart by more, the first ones once the fine gate holds them all."""
+_SETTLED_M = 2 * _FINE_M, 0.02
+"""Rounds with a gate end once no pair of key scans is moved apart by more: the next one moves it by less than half of
+it, so that the fine gate holds it, and in the end by less than the standard deviation of a point."""
 _MOST_ROUNDS = 6
 """With each gate. Where a loop is closed that had opened by half a metre one or two do not suffice: visits that cross
 each other share few points, and what they pull along is stiff."""
@@ -84,7 +85,7 @@ def adjust_key_scans(
     pairs = select_pairs(graph.poses)
     pairs = pairs[np.diff(components[pairs])[:, 0] == 0]
     poses, variance = graph.poses, _SIGMA_M**2
-    for gate_m, settled_m in ((_COARSE_M, _FINE_M), (_FINE_M, _SETTLED_M)):
+    for gate_m, settled_m in zip((_COARSE_M, _FINE_M), _SETTLED_M, strict=True):
         for _ in range(_MOST_ROUNDS):
             whole = _measure(graph.with_poses(poses), surfaces, pairs, gate_m, variance, threads)
             pairs = whole.edges[len(graph.edges) :]  # what does not see the other's surfaces does not in the next round
