@@ -44,6 +44,14 @@ def test_clutter_seen_by_few_beams_is_no_carried_robot(data_dir):
         assert not breaks.take(measurement._replace(scan=thin))
 
 
+@pytest.mark.parametrize("late", [2, 3])
+def test_odometry_that_comes_late_is_no_carried_robot(data_dir, late):
+    """By half a second and more, while the robot turns by 0.3 rad from scan to scan."""
+    measurements, breaks = list(open_log(data_dir / "aces.clf.bz2")), ViewBreaks()
+    for now, before in zip(measurements[late:], measurements, strict=False):
+        assert not breaks.take(now._replace(odometry=before.odometry))
+
+
 def test_a_laser_that_tilts_is_told(data_dir):
     diagnosis = diagnose(open_log(data_dir / "bags/tilt_laser.bag"))
     assert [finding.code for finding in diagnosis.faults if finding.severity is diagnosis.worst] == ["tilting_laser"]

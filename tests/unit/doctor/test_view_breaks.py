@@ -9,6 +9,7 @@ from gridslam.doctor import Doctor, Severity
 from gridslam.doctor.view_breaks import DriveNumbering, ViewBreaks, split_where_carried
 from gridslam.doctor.views import View, find_similar
 from gridslam.geometry.se2 import between, compose
+from gridslam.io.measurement import Measurement
 from gridslam.scan import LaserScan, ScanGeometry
 from gridslam.sim import LidarConfig, OdometryNoise, PeopleConfig, RobotConfig, make_world, simulate
 from gridslam.types import Odometry
@@ -136,6 +137,20 @@ def test_people_who_pass_are_no_break():
         make_world("rooms", rng), RobotConfig(), OdometryNoise(), lidar, rng, people=PeopleConfig(count=15)
     )
     assert breaks(drive.measurements[:600]) == []
+
+
+@pytest.mark.parametrize(("world", "seed", "late"), [("random", 1, 1), ("random", 3, 2), ("demo", 2, 1)])
+def test_odometry_that_comes_late_is_no_break(world, seed, late):
+    """A turn is seen one or two scans of a quarter of a second before the odometry knows of it, among people."""
+    rng = np.random.default_rng(seed)
+    lidar = LidarConfig(beams=180, range_max_m=12.0, rate_hz=4)
+    people = PeopleConfig(count=15)
+    drive = simulate(make_world(world, rng), RobotConfig(), OdometryNoise(), lidar, rng, people=people)
+    scans = [scan for _, scan in drive.measurements[:800]]
+    poses = [odometry.pose for odometry, _ in drive.measurements[:800]]
+    delayed = [poses[0]] * late + poses[:-late]
+    pairs = zip(delayed, scans, strict=True)
+    assert breaks(Measurement(Odometry.at(scan.stamp_ns, pose), scan) for pose, scan in pairs) == []
 
 
 def test_a_laser_beside_a_much_faster_one_is_numbered_though_what_was_held_back_has_gone():
