@@ -199,12 +199,14 @@ def outcome(path, **options):
 
 
 @pytest.mark.parametrize(
-    ("band", "most_m"), [(INTEL, 0.0140), (ACES, 0.09), (CSAIL, 0.031)], ids=["intel", "aces", "csail"]
+    ("band", "seed", "most_m"),
+    [(INTEL, 0, 0.0140), (ACES, 1, 0.046), (CSAIL, 0, 0.031)],
+    ids=["intel", "aces", "csail"],
 )
-def test_logs_driven_backwards(data_dir, band, most_m):
-    """Two seeds have at most 0.0132, 0.067 and 0.027 m; with all beams counting alike 0.10, 0.22 and 0.029 m."""
+def test_logs_driven_backwards(data_dir, band, seed, most_m):
+    """Six seeds of ACES have 0.035 to 0.042 m; seed 1 has 0.052 m where key scans are not adjusted until they settle."""
     log = Backwards(open_log(data_dir / band.log))
-    result = gridslam.map_log(log, seed=0)
+    result = gridslam.map_log(log, seed=seed)
     assert len(result.trajectory) == band.scans
     errors = relation_errors(log.turn(result.trajectory), read_relations(data_dir / band.relations))
     assert errors.trans_mean_m <= most_m
