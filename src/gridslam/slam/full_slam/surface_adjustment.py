@@ -16,11 +16,11 @@ from gridslam.types import FloatArray, IntArray
 _COARSE_M, _FINE_M = 0.4, 0.08
 """Largest residual of a point, in the first rounds and in the last ones."""
 _SETTLED_M = 2 * _FINE_M, 0.02
-"""Rounds with a gate end once no pair of key scans is moved apart by more: the next one moves it by less than half of
-it, so that the fine gate holds it, and in the end by less than the standard deviation of a point."""
+"""Rounds with a gate end once no pair of key scans moves by more relative to each other. On Intel the next round moves
+it by a third of that: within the fine gate, and in the end by less than the standard deviation of a point."""
 _MOST_ROUNDS = 6
-"""With each gate. Where a loop is closed that had opened by half a metre one or two do not suffice: visits that cross
-each other share few points, and what they pull along is stiff."""
+"""Maximum number of rounds with each gate. One or two do not close a loop that is open by half a metre: visits that
+cross each other share few points, against all the motion between them."""
 _SUCCESSIVE = 3
 """Key scans just before one that it is matched with; the others are spread over all that are near."""
 _SCALE_RATIO = 0.25
@@ -93,13 +93,13 @@ def adjust_key_scans(
                 break
             before, poses = poses, GraphSlam(first_guess="given", robust=None, max_iterations=1).solve(whole).poses
             variance = _measure_variance(fives, poses, pairs)
-            if _moved_apart_m(pairs, before, poses) < settled_m:
+            if _greatest_relative_move_m(pairs, before, poses) < settled_m:
                 break
     return _measure(graph.with_poses(poses), surfaces, pairs, _FINE_M, variance, threads), variance
 
 
-def _moved_apart_m(pairs: IntArray, before: FloatArray, after: FloatArray) -> float:
-    """Return the greatest change (m) of where one of a pair (P, 2) of key scans is seen from the other."""
+def _greatest_relative_move_m(pairs: IntArray, before: FloatArray, after: FloatArray) -> float:
+    """Return the greatest change (m) of the relative position of pairs (P, 2) of key scans."""
     from_, to = pairs.T
     change = between(after[from_], after[to]) - between(before[from_], before[to])
     return float(np.hypot(change[:, 0], change[:, 1]).max())
